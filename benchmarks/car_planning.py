@@ -42,8 +42,8 @@ from benchmarks.fixtures.car_checker import collides, collisions, infeasible
 from benchmarks.fixtures.car_lattice import Lattice
 from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import CAR, Case, ask, case, curve
-from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Obstacle
+from koordgen.runtime.values.points import Point
 from targets.car.ask import Asked
 from targets.car.planner import segments
 from targets.planning.process import SHARE

@@ -2,7 +2,7 @@
 
 Twenty hosts are real SSH servers on loopback ports of this computer, each with a home folder and one robot; the
 packages of agents are there. Measured: the deployment of a changed program, the return to the release before, and the
-status of all robots. Stand-ins that speak koordgen/runtime/control.py answer in place of agents, at the ports and with
+status of all robots. Stand-ins that speak runtime/ops/control.py answer in place of agents, at the ports and with
 the key of the deployed bundles: agents without autopilots come to rest after half a minute.
 
 The loop does what people do by hand: it builds, and for one robot after the other copies the bundle with `rsync` and
@@ -29,9 +29,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place
-from koordgen.runtime.control import Control
-from koordgen.runtime.opening import open_settings
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.ops.control import Control
+from koordgen.runtime.ops.opening import open_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 HOSTS, QUICK = 20, 4

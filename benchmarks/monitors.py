@@ -30,14 +30,14 @@ from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
-from koordgen.runtime.containers import last
-from koordgen.runtime.monitor import Monitors
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.platform import Finding, Sensed
-from koordgen.runtime.property import Properties
-from koordgen.runtime.runner import unlimited
-from koordgen.runtime.values import Point, Scan, distance
-from koordgen.runtime.watched import SHARED, Change, Moment
+from koordgen.runtime.monitor.monitor import Monitors
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import unlimited
+from koordgen.runtime.trace.watched import SHARED, Change, Moment
+from koordgen.runtime.values.containers import last
+from koordgen.runtime.values.points import Point, Scan, distance
+from koordgen.runtime.vehicle.platform import Finding, Sensed
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ("task/task", "lineform/geofence", "election/election", "mapping/mapping")

@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.peers_exchange import warm_up
-from koordgen.runtime.bounds import Fixed, Text
-from koordgen.runtime.clock import SystemClock
-from koordgen.runtime.machine import Agent
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.platform import Finding, Sensed
-from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
-from koordgen.runtime.rounds import PUBLISH
-from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
-from koordgen.runtime.store import Store
-from koordgen.runtime.trace import Record, Trace
-from koordgen.runtime.transport import Transport
-from koordgen.runtime.values import Point
-from koordgen.runtime.wire import Round, decode
+from koordgen.runtime.agent.machine import Agent
+from koordgen.runtime.agent.rounds import PUBLISH
+from koordgen.runtime.agent.store import Store
+from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.net.wire import Round, decode
+from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
+from koordgen.runtime.trace.writer import Record, Trace
+from koordgen.runtime.values.bounds import Fixed, Text
+from koordgen.runtime.values.clock import SystemClock
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Sensed
 
 KEY = bytes(range(32))
 

@@ -15,25 +15,25 @@ from itertools import repeat
 
 from benchmarks.peers_agents import KEY, program, settings
 from benchmarks.peers_exchange import Heard, Place
-from koordgen.runtime import courier, gate
-from koordgen.runtime.clock import Clock, SystemClock
-from koordgen.runtime.fleet_clock import FleetClock
-from koordgen.runtime.keeping import Keeping
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link, Usuals, as_usual
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.outbox import AHEAD
-from koordgen.runtime.patience import Patience, many
-from koordgen.runtime.program import Life
-from koordgen.runtime.replica import SLOTS, Replica
-from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.store import Keeper, Store
-from koordgen.runtime.transport import Transport
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, Round, View
+from koordgen.runtime.agent.keeping import Keeping
+from koordgen.runtime.agent.outbox import AHEAD
+from koordgen.runtime.agent.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
+from koordgen.runtime.agent.store import Keeper, Store
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.link import Link, Usuals, as_usual
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.net.wire import Closing, Hello, Round, View
+from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.program.program import Life
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.patience import Patience, many
+from koordgen.runtime.replication.replica import SLOTS, Replica
+from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.values.clock import Clock, SystemClock
 
 FULL = 0  # the number of the view in which all robots count
 

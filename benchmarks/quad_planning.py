@@ -39,8 +39,8 @@ from benchmarks.fixtures.arenas import (
     capsule,
     many,
 )  # fmt: skip
-from koordgen.runtime.obstacles import Obstacle
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.obstacles import Obstacle
+from koordgen.runtime.values.points import Point, distance
 from targets.planning.ask import Asked
 from targets.planning.room import Room, fixed, room
 from targets.planning.rrt import length

@@ -26,10 +26,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.link import Link
 from targets.mavlink.transport import opened
 from targets.quad.flight import Flight, Phase

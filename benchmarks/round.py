@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.fleet import KEY, FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.points import Point
 
 N = 5
 Update = tuple[int, int, list[float], int]

@@ -47,7 +47,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import peers_agents, peers_exchange
 from benchmarks.peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
 from benchmarks.peers_memory import open_memory, open_update, without_courier
-from koordgen.runtime import courier
+from koordgen.runtime.net import courier
 
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"
 WHOLE_MEMORY = "koordgen, full stack"

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fixtures.rays import to_obstacle
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.bullet import Bullet
 from targets.sim.car import SimulatedCar
 from targets.sim.contacts import PYBULLET

@@ -1,7 +1,7 @@
 """`koordgen basestation`: passes the poses of a motion capture system on to the robots, each its own.
 
 The system speaks through the package `motioncapture` (libmotioncapture), loaded when it is needed; anything with the
-same `connect`, `waitForNextFrame` and `rigidBodies` will do. What goes over the network is koordgen/runtime/feed.py's.
+same `connect`, `waitForNextFrame` and `rigidBodies` will do. What goes over the network is runtime/vehicle/feed.py's.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from koordgen.manifest import Target, available, load
 from koordgen.mocap import Mocap, Quaternion, Vector
 from koordgen.node import Node
 from koordgen.robots import parse_address
-from koordgen.runtime.datagrams import raw_clock
-from koordgen.runtime.host import pip_install
-from koordgen.runtime.seal import BadKey, load_key
+from koordgen.runtime.net.seal import BadKey, load_key
+from koordgen.runtime.ops.host import pip_install
+from koordgen.runtime.vehicle.datagrams import raw_clock
 
 RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
 TOLD_EVERY = 1.0  # seconds
@@ -109,8 +109,8 @@ class Forwarder:
         return due
 
     def _sealed(self, name: str, pose: tuple[Vector, float], measured: float, now: float) -> bytes:
-        from koordgen.runtime.feed import Sample, encode
-        from koordgen.runtime.values import Point, Pose
+        from koordgen.runtime.values.points import Point, Pose
+        from koordgen.runtime.vehicle.feed import Sample, encode
 
         self._sequence += 1
         self._sent[name] += 1
@@ -178,7 +178,7 @@ def connected(name: str, host: str) -> Any:
     try:
         import motioncapture
 
-        import koordgen.runtime.feed  # noqa: F401
+        import koordgen.runtime.vehicle.feed  # noqa: F401
     except ImportError as error:
         message = f"the Python package {error.name} is missing or does not load: {error}"
         raise CannotServe(message, pip_install("'koordgen[mocap]'")) from None

@@ -21,8 +21,8 @@ import yaml
 
 from koordgen.node import Node
 from koordgen.robots import control_port, parse_address
-from koordgen.runtime.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
-from koordgen.runtime.seal import KEY_SIZE, BadKey, load_key
+from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
+from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
 
 BY_HAND = "stop them by hand, now: remote control, kill switch, or cut their power"
 NO_ANSWER = "no answer"

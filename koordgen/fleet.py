@@ -21,7 +21,7 @@ from koordgen.source import Source, Span
 from koordgen.starts import check_starts
 from koordgen.world import World, read_world
 
-# Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
+# Thresholds of the safety layer, with the defaults of koordgen/runtime/config/settings.py (a test compares them).
 SAFETY: dict[str, Any] = {
     "position_stale": 0.5,
     "position_lost": 2.0,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from koordgen import resources
 from koordgen.node import Node
 
-# The Platform interface of koordgen/runtime/platform.py that this compiler's runtime offers.
+# The Platform interface of koordgen/runtime/vehicle/platform.py that this compiler's runtime offers.
 API = 1
 ACTIONS = ("hold", "stop")  # of every robot
 SETTING_TYPES = {"string": str, "float": float, "int": int, "bool": bool}

@@ -13,7 +13,7 @@ from koordgen.node import Node
 
 _ENDPOINT = re.compile(r"[a-z_]+/\S+")
 _EXPONENT = re.compile(r"\d+(\.\d*)?[eE]\+?\d+", re.ASCII)
-# What may be said of each transport, as koordgen/runtime/settings.py reads it (a test compares them).
+# What may be said of each transport, as koordgen/runtime/config/settings.py reads it (a test compares them).
 NETWORK: dict[str, tuple[str, ...]] = {
     "unicast": (),
     "broadcast": ("group", "port"),

@@ -23,7 +23,7 @@ _SHAPES = (
 )
 _FORMS = {".stl": "stl", ".obj": "obj"}
 
-Obstacle = dict[str, Any]  # as koordgen/runtime/obstacles.py has it
+Obstacle = dict[str, Any]  # as koordgen/runtime/values/obstacles.py has it
 
 
 def read_obstacles(reader: Reader, node: YamlNode | None, folder: Path) -> tuple[Obstacle, ...]:

@@ -14,7 +14,7 @@ from koordgen.offered import Known, read_given, read_settings
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
-MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
 
 
 class Robot(Node):
@@ -48,7 +48,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def control_port(port: int) -> int:
-    """Where a robot takes orders by default, as koordgen/runtime/settings.py has it (a test compares them)."""
+    """Where a robot takes orders by default, as koordgen/runtime/config/settings.py has it (a test compares them)."""
     return port + 1000 if port + 1000 <= 65535 else port - 1000
 
 

@@ -12,7 +12,7 @@ from koordgen import manifest, resources
 from koordgen.bundle.plan import Files, plan, read_ingredients
 from koordgen.fleet import Fleet, read
 from koordgen.pipeline import check_file
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
 from koordgen.source import Source, Span
 
 ROOT = Path(__file__).parents[1]

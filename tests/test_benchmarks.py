@@ -10,10 +10,10 @@ from benchmarks import shared_memory
 from benchmarks.fixtures.fleet import Kept
 from benchmarks.peers_agents import settings
 from benchmarks.peers_memory import SharedMemory, Update
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.link import Heard, Link, Usuals
-from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.replica import Replica
+from koordgen.runtime.net.link import Heard, Link, Usuals
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.replication.replica import Replica
+from koordgen.runtime.values.clock import SimulatedClock
 
 N, DELTA, COUNT, STEPS = 3, 0.01, 20, 20
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime import courier, gate
+from koordgen.runtime.net import courier, gate
 from targets.car.solver import compiled
 
 ROOT = Path(__file__).parents[1]

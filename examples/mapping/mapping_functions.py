@@ -10,8 +10,8 @@ import math
 from collections import deque
 from functools import lru_cache
 
-from koordgen.runtime.gridmap import FREE, OCCUPIED, GridMap, cell, center, merge
-from koordgen.runtime.values import Grid, Point, Scan
+from koordgen.runtime.values.gridmap import FREE, OCCUPIED, GridMap, cell, center, merge
+from koordgen.runtime.values.points import Grid, Point, Scan
 
 Cell = tuple[int, int]
 NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))

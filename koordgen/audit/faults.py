@@ -12,9 +12,9 @@ from koordgen.ir import decl, stmt
 from koordgen.node import nodes
 from koordgen.prove.spell import spelled
 from koordgen.replay.robot import OVERRAN
-from koordgen.runtime.program import Fault
+from koordgen.runtime.program.program import Fault
 
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/extern.py words it
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/program/extern.py words it
 
 
 def contracts(program: decl.Program, mission: Mission) -> list[Finding]:

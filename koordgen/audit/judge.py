@@ -11,7 +11,7 @@ from koordgen.audit.finding import AFTER, BEGIN, END, Finding, Moment, Outcome, 
 from koordgen.audit.meaning import Meaning
 from koordgen.audit.story import Mission
 from koordgen.audit.whole import Whole
-from koordgen.runtime.property import UNKNOWN, Assumption, Bound, Known, Property, Read, Trail, Unknown, judged
+from koordgen.runtime.program.property import UNKNOWN, Assumption, Bound, Known, Property, Read, Trail, Unknown, judged
 
 MOST_READ = 8
 MOST_ROBOTS = 6  # in a table

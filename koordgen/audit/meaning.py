@@ -18,9 +18,9 @@ from koordgen.ir.types import GRID, POINT, Type, list_of
 from koordgen.prove.table import shown
 from koordgen.replay.functions import CannotCall, load, meant_value, python_value
 from koordgen.replay.values import BadValue, taken
-from koordgen.runtime.extern import BadExtern
-from koordgen.runtime.property import UNKNOWN, Properties
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.property import UNKNOWN, Properties
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.exec import declared
 
 ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # what a planner is asked with: a goal, and obstacles as cells

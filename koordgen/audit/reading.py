@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 from koordgen.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
 from koordgen.replay.trace import FORMAT, LONGEST, BadTrace, Line, header_of, parts_of
-from koordgen.runtime.trace_parts import base_of
+from koordgen.runtime.trace.parts import base_of
 
 LOST = "lost"
 LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")

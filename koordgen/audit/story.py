@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from koordgen.audit.reading import LOST, Log
 from koordgen.replay.trace import BadTrace, Line
-from koordgen.runtime.skips import LEFT
+from koordgen.runtime.program.skips import LEFT
 
 FOREVER = 1 << 60
 # As an agent says it when its rounds begin.

@@ -12,8 +12,8 @@ from typing import Any
 from koordgen.audit.meaning import Meaning
 from koordgen.audit.story import Mission, Story
 from koordgen.replay.store import Writes, had_frame
-from koordgen.runtime.program import Calls
-from koordgen.runtime.property import UNKNOWN
+from koordgen.runtime.program.program import Calls
+from koordgen.runtime.program.property import UNKNOWN
 
 
 class Whole:

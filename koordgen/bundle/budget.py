@@ -18,7 +18,7 @@ from koordgen.node import Node, replace
 if TYPE_CHECKING:
     from koordgen.medium import Link
 
-# As koordgen/runtime/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
+# As koordgen/runtime/net/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
 DATAGRAM = 1200
 MOST_CLOSING, MOST_PIECES, MOST_SHARED = 128 * 1024, 256, 256
 _WRITE, _CLOSING = 5, 38

@@ -183,7 +183,7 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
 
 
 def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
-    """One robot's `settings.json`, as koordgen/runtime/settings.py reads it."""
+    """One robot's `settings.json`, as koordgen/runtime/config/settings.py reads it."""
     facts = _facts(program, fleet)
     shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
     return {

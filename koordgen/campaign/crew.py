@@ -69,7 +69,7 @@ class Cluster:
         try:
             from distributed import Client
         except ModuleNotFoundError as error:
-            from koordgen.runtime.host import pip_install
+            from koordgen.runtime.ops.host import pip_install
 
             way = pip_install("'koordgen[cluster]'")
             raise Unreachable(f"--cluster needs the package {error.name}", way) from None

@@ -91,7 +91,7 @@ def _run(options: Namespace) -> int:
 
 def install(what: str) -> str:
     """Return how to install koordgen with an extra, as in "koordgen[prove]", for the running Python."""
-    from koordgen.runtime.host import pip_install
+    from koordgen.runtime.ops.host import pip_install
 
     return pip_install(f"'{what}'")
 
@@ -435,7 +435,7 @@ def _require_packages() -> None:
     from importlib.metadata import PackageNotFoundError, version
 
     from koordgen import manifest
-    from koordgen.runtime.host import needed
+    from koordgen.runtime.ops.host import needed
 
     def is_missing(name: str) -> bool:
         try:

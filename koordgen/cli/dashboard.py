@@ -15,7 +15,7 @@ from koordgen import cli, resources
 from koordgen.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
 from koordgen.operate.dashboard import Facts, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access
-from koordgen.runtime.host import pip_install
+from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
     from targets.sim.trace import Header

@@ -149,7 +149,7 @@ def _key_bytes(fleet: Fleet, options: Namespace) -> bytes | None:
 
 
 def _read_key(path: Path) -> bytes:
-    from koordgen.runtime.seal import BadKey, load_key
+    from koordgen.runtime.net.seal import BadKey, load_key
 
     try:
         return load_key(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/net/wire.py allows (a test compares them)
 MOST_PROVED = 1000  # robots for which `prove --robots` proves
 LONGEST = 86400.0  # seconds
 

@@ -10,27 +10,27 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "typing": ("Annotated", "Any"),
     "msgspec": ("Struct",),
     "msgspec.structs": ("replace",),
-    "koordgen.runtime.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
-    "koordgen.runtime.containers": (
+    "koordgen.runtime.values.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
+    "koordgen.runtime.values.containers": (
         "appended", "at", "difference", "extended", "first", "has_key", "index_of", "inserted", "intersection", "keys",
         "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power", "removed", "set_of",
         "set_with", "set_without", "slice_", "total", "union", "updated", "values", "without",
     ),
-    "koordgen.runtime.extern": ("Extern", "Library"),
-    "koordgen.runtime.gridmap": ("GridMap", "cell", "center", "is_free", "is_known", "is_occupied"),
-    "koordgen.runtime.metered": ("area", "clear", "mark_free", "mark_occupied", "merge", "path_distance"),
-    "koordgen.runtime.program": (
+    "koordgen.runtime.program.extern": ("Extern", "Library"),
+    "koordgen.runtime.values.gridmap": ("GridMap", "cell", "center", "is_free", "is_known", "is_occupied"),
+    "koordgen.runtime.program.metered": ("area", "clear", "mark_free", "mark_occupied", "merge", "path_distance"),
+    "koordgen.runtime.program.program": (
         "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable", "behind", "claim",
     ),
-    "koordgen.runtime.property": (
+    "koordgen.runtime.program.property": (
         "Asking", "Assumption", "Each", "Known", "One", "Properties", "Property", "Trail", "Unchecked",
     ),
-    "koordgen.runtime.region": ("Ball", "Rect"),
-    "koordgen.runtime.text": ("part", "shown"),
-    "koordgen.runtime.turns": (
+    "koordgen.runtime.values.region": ("Ball", "Rect"),
+    "koordgen.runtime.values.text": ("part", "shown"),
+    "koordgen.runtime.values.turns": (
         "checked", "looked", "looked_in", "made", "minus", "plus", "product", "turn", "turns",
     ),
-    "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance", "no_nan", "no_nan_in"),
+    "koordgen.runtime.values.points": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance", "no_nan", "no_nan_in"),
 }  # fmt: skip
 HOME = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -18,7 +18,7 @@ from koordgen.ir.stmt import Block
 from koordgen.ir.types import MapOf, RecordType, TupleOf, Type
 from koordgen.ir.types import Sequence as SequenceOf
 
-# Raised when the meaning of a datagram changes; equals that of koordgen/runtime/wire.py (a test compares them).
+# Raised when the meaning of a datagram changes; equals that of koordgen/runtime/net/wire.py (a test compares them).
 WIRE_FORMAT = 4
 
 _MARK = "  # {}:"

@@ -26,7 +26,7 @@ from koordgen.ir.types import (
     Type,
 )
 
-# Those of koordgen/runtime/turns.py (a test compares them).
+# Those of koordgen/runtime/values/turns.py (a test compares them).
 ELEMENTS_A_TURN = 100
 CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096

@@ -25,7 +25,7 @@ from koordgen.ir.types import (
     Type,
 )
 
-# The most bytes of values of these types in MessagePack, as koordgen/runtime/bounds.py counts them (a test compares).
+# The most bytes of values of these types in MessagePack, as runtime/values/bounds.py counts them (a test compares).
 NUMBER = 9
 FIXED: dict[Type, int] = {
     BOOL: 1, INT: NUMBER, FLOAT: NUMBER, POINT: 1 + 3 * NUMBER, POSE: 1 + 1 + 3 * NUMBER + NUMBER, GRID: 1 + 3 * NUMBER

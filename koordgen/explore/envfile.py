@@ -16,7 +16,7 @@ from koordgen.ir.expr import Const
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, SCAN, TupleOf, Type, list_of
 from koordgen.located import Reader, Report, YamlNode
 from koordgen.node import replace
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value
 from koordgen.source import Source, Span

@@ -24,7 +24,7 @@ from typing import Any
 from koordgen.explore.machine import Interned, Machine, Own, Packed
 from koordgen.ir import decl, expr, stmt
 from koordgen.node import nodes
-from koordgen.runtime import program as rt
+from koordgen.runtime.program import program as rt
 
 MOST = 10_000  # values of one variable that are tried
 

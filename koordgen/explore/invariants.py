@@ -11,8 +11,8 @@ from koordgen.explore.pairs import Pairs, spread
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
-from koordgen.runtime.property import Each, One
-from koordgen.runtime.turns import begin
+from koordgen.runtime.program.property import Each, One
+from koordgen.runtime.values.turns import begin
 
 
 class _Fleet:

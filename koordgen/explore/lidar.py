@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from koordgen.runtime.values import Point, Scan
+from koordgen.runtime.values.points import Point, Scan
 
 Wall = tuple[Point, Point]  # the corners of a box, metres, local ENU
 

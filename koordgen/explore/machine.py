@@ -19,7 +19,7 @@ from koordgen.emit.program import functions_module, program_text
 from koordgen.emit.types import with_floats
 from koordgen.ir import decl
 from koordgen.replay.functions import CannotCall, load, meant_value, python_value
-from koordgen.runtime import program as rt
+from koordgen.runtime.program import program as rt
 from koordgen.semantics.exec import declared
 from koordgen.semantics.state import Robot, State, Store
 from koordgen.semantics.step import initial

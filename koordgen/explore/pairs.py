@@ -14,7 +14,7 @@ from koordgen.emit import expr, library
 from koordgen.explore.machine import Machine, Packed
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
-from koordgen.runtime.turns import begin
+from koordgen.runtime.values.turns import begin
 
 
 class Spread(NamedTuple):

@@ -12,7 +12,7 @@ from koordgen.ir import decl
 from koordgen.prove.spell import spelled
 from koordgen.prove.table import WIDTH, failed_lines, moment_lines, moments_data, order_told, own
 from koordgen.prove.trace import About, run_trace
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.values import RecordValue
 
 

@@ -10,7 +10,7 @@ from koordgen.replay.trace import FORMAT, BadTrace, Trace, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
 
 Values = Mapping[str, Any]  # by name, in JSON
 

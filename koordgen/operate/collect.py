@@ -2,7 +2,7 @@
 
 A file arrives as NAME.part and gets its name when all bytes that it had are there. A later collection into the same
 folder goes on: only bytes that are missing travel. A robot's current trace becomes an older, numbered part whenever its
-agent begins anew (koordgen/runtime/trace_parts.py); it is recognised by its last bytes, and not fetched again.
+agent begins anew (koordgen/runtime/trace/parts.py); it is recognised by its last bytes, and not fetched again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from koordgen.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
-from koordgen.runtime.trace_parts import base_of, numbered
+from koordgen.runtime.trace.parts import base_of, numbered
 
 MARKER = ".koord-collect"  # what later collections need to know; a simulation never clears a folder with it
 LOG = "log.txt"

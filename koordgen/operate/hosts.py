@@ -285,7 +285,7 @@ def require_asyncssh() -> None:
     try:
         import asyncssh  # noqa: F401
     except ImportError as error:
-        from koordgen.runtime.host import pip_install
+        from koordgen.runtime.ops.host import pip_install
 
         missing = error.name or "asyncssh"
         raise NoHosts(f"the Python package {missing} is missing", pip_install("'koordgen[deploy]'"), False) from None

@@ -19,8 +19,8 @@ from typing import Any
 from koordgen.estop import Fleet, Place
 from koordgen.node import Node, replace
 from koordgen.operate.installed import Installed
-from koordgen.runtime.orders import LONG, NONCE
-from koordgen.runtime.status import Asking
+from koordgen.runtime.ops.orders import LONG, NONCE
+from koordgen.runtime.ops.status import Asking
 
 PATIENCE = 2.0  # seconds for all robots together
 _REPEAT = 0.05  # seconds between two questions to one robot

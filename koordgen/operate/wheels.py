@@ -18,7 +18,7 @@ from typing import Any
 
 from koordgen.node import Node
 from koordgen.operate.release import digest_of
-from koordgen.runtime.host import pip_install, requirement_for
+from koordgen.runtime.ops.host import pip_install, requirement_for
 
 PIP = "pip"  # its wheel fills virtual environments: Debian's own Python has no ensurepip
 PATIENCE = 900.0  # seconds for one download

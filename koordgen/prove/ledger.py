@@ -14,7 +14,8 @@ from koordgen.prove.spell import nodes, spelled
 from koordgen.source import Span
 
 AGENTS = (
-    "agents and simulator check it at each call; where it does not hold, the event is discarded (runtime/extern.py)"
+    "agents and simulator check it at each call; where it does not hold, the event is discarded "
+    "(runtime/program/extern.py)"
 )
 DISCARDED = "agents discard an event that would; a property that compares NaN has no value (`koordgen docs proofs`)"
 SIMULATOR = "the simulator watches it in each run (`koordgen docs sim`)"

@@ -19,8 +19,8 @@ from koordgen.node import nodes, replace
 from koordgen.prove.obligation import Cell, Moment, Obligation
 from koordgen.prove.reading import Reader, Unshowable
 from koordgen.prove.served import Served
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.eval import Discarded, View, elements, holds
 from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import Budget, NoMeaning, library

@@ -20,7 +20,7 @@ from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
 from koordgen.node import Node
 from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
 from koordgen.prove.reading import Unshowable
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, made_exact

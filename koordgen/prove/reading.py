@@ -19,7 +19,7 @@ from koordgen.prove.term import (
     INT as INT_SORT,
 )
 from koordgen.prove.term import Apply, Function, Sort, Term, apply, at_most, boolean, integer, real
-from koordgen.runtime.values import Grid, Opaque, Point, Pose
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
 from koordgen.semantics.values import RecordValue, Value
 
 PATH = list_of(POINT)  # what a PathPlanner answers

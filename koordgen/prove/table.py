@@ -10,7 +10,7 @@ from typing import Any
 from koordgen.prove.model import Conjunct, Counterexample
 from koordgen.prove.reach import Moment, Run
 from koordgen.prove.spell import number, spelled
-from koordgen.runtime.values import Grid, Opaque, Point, Pose
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
 from koordgen.semantics.exact import Root
 from koordgen.semantics.state import Robot, State
 from koordgen.semantics.values import RecordValue

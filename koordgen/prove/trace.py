@@ -11,7 +11,7 @@ from koordgen.prove.explain import Explanation
 from koordgen.prove.model import Conjunct, Counterexample, plain_value
 from koordgen.prove.reach import Moment, no_way
 from koordgen.prove.spell import spelled
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.state import State, World

@@ -7,7 +7,7 @@ from typing import Any
 
 from koordgen.ir import decl
 from koordgen.replay.values import plain
-from koordgen.runtime.skips import NO_EVENT
+from koordgen.runtime.program.skips import NO_EVENT
 from koordgen.semantics.step import initial
 
 Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid

@@ -1,6 +1,6 @@
 """Traces of format koord-trace/1 as the replayer reads them: a robot's own, and the merged one of a run.
 
-A robot's own trace may have several parts (koordgen/runtime/trace_parts.py): they are read as one trace.
+A robot's own trace may have several parts (koordgen/runtime/trace/parts.py): they are read as one trace.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
-from koordgen.runtime.trace_parts import base_of, numbered
+from koordgen.runtime.trace.parts import base_of, numbered
 
 FORMAT = "koord-trace/1"
 LONGEST = 8 << 20  # bytes of a header

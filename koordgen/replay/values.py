@@ -25,8 +25,8 @@ from koordgen.ir.types import (
     TupleOf,
     Type,
 )
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.values import RecordValue, Value
 
 

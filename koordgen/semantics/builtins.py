@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from operator import itemgetter
 from typing import Any
 
-from koordgen.runtime import geometry, gridmap
-from koordgen.runtime.values import Grid, NotANumber, Point, Pose, distance
+from koordgen.runtime.values import geometry, gridmap
+from koordgen.runtime.values.points import Grid, NotANumber, Point, Pose, distance
 from koordgen.semantics import exact
 from koordgen.semantics.numbers import within_bits
 from koordgen.semantics.values import Ball, Rect, Value, has_nan, items, same

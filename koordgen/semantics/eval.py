@@ -20,7 +20,7 @@ from koordgen.ir.types import FLOAT, STRING, MapOf, PerRobot, RecordType, Scalar
 from koordgen.ir.types import ExternType as Extern
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import Node
-from koordgen.runtime.values import Opaque, Point
+from koordgen.runtime.values.points import Opaque, Point
 from koordgen.semantics import builtins
 from koordgen.semantics.exact import is_exact
 from koordgen.semantics.numbers import arithmetic, as_real, compared

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from koordgen.ir import decl, expr
 from koordgen.ir.types import BOOL, FLOAT, INT, Type
 from koordgen.node import Node
-from koordgen.runtime.values import Grid, Point, Pose
+from koordgen.runtime.values.points import Grid, Point, Pose
 from koordgen.source import Span
 
 MAX_BITS = 1 << 16  # of a numerator or denominator

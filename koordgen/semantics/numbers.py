@@ -6,7 +6,7 @@ import math
 from typing import TypeVar
 
 from koordgen.diagnostics import InternalError
-from koordgen.runtime.values import NotANumber, Point
+from koordgen.runtime.values.points import NotANumber, Point
 from koordgen.semantics.exact import is_exact, power, within_exact
 from koordgen.semantics.values import Value, as_, has_nan, same
 

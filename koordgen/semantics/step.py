@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from koordgen.ir import decl, stmt
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded, View, evaluate, holds
 from koordgen.semantics.exec import Budget, Writes, constant, library, run
 from koordgen.semantics.state import NOTHING, Robot, State, Store, World, nobody

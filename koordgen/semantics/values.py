@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, TypeVar, assert_never
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
-from koordgen.runtime.gridmap import GridMap, sound
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.values.gridmap import GridMap, sound
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.exact import Exact
 
 

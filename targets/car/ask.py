@@ -10,9 +10,9 @@ from functools import cache
 
 import msgspec
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.car.curves import Curve, Triple
 from targets.car.ground import PAD, Way, ground
 from targets.car.planner import Plan, Wish, points

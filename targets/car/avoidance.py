@@ -9,9 +9,9 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.car.bicycle import State, wrap
 from targets.car.curves import Curve, Triple
 from targets.car.ground import LEAVING, MARGIN, area, ground

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from itertools import pairwise
 
-from koordgen.runtime.datagrams import waiting
-from koordgen.runtime.feed import Feed
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.safety import inside
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.datagrams import waiting
+from koordgen.runtime.vehicle.feed import Feed
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.safety import inside
 from targets.car.drive import Drive, opened
 from targets.car.lag import LONGEST_LAG, is_long
 from targets.car.links import Links

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.values import Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Pose
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.car.links import Links
 from targets.car.mpc import Command
 from targets.car.settings import CarSettings

@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import replace
 
-from koordgen.runtime.values import Pose
+from koordgen.runtime.values.points import Pose
 from targets.car.bicycle import State, advance, turning_radius, wrap
 
 SMOOTHING = 0.056  # seconds, the time constant of place and heading: a gain of 0.3 at a feed's 50 Hz

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from koordgen.runtime.settings import Box
+from koordgen.runtime.config.settings import Box
 from targets.car.bicycle import State, advance
 from targets.car.mpc import STEP, Command
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from koordgen.runtime.datagrams import DatagramLink
-from koordgen.runtime.inside import Exchange, Inside, Stream
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.inside import Exchange, Inside, Stream
 from targets.car.links import ByteLink, Nowhere
 from targets.car.platform import Car
 from targets.car.rover import Route
@@ -21,7 +21,7 @@ from targets.planning.process import bounded
 
 
 def made(settings: Settings, key: bytes | None, inside: Inside) -> Car:
-    """See koordgen.runtime.inside."""
+    """See koordgen.runtime.vehicle.inside."""
     return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
 
 

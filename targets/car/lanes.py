@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
 from targets.car.curves import Curve, Triple
 from targets.car.shapes import Footprint, named
 from targets.planning.world import Path, Scene

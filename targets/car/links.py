@@ -10,10 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from koordgen.runtime.datagrams import DatagramLink
-from koordgen.runtime.feed import listen_for_poses
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.scans import listen_for_scans
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.feed import listen_for_poses
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.scans import listen_for_scans
 from targets.car.settings import FROM_DRIVE
 from targets.car.watched import Watch, WatchdogProcess
 

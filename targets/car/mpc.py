@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from koordgen.runtime.native import NotCompiled
+from koordgen.runtime.native.loader import NotCompiled
 from targets.car.bicycle import State
 from targets.car.solver import compiled
 from targets.car.solver.fallback import CasadiSolver

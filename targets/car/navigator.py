@@ -124,7 +124,7 @@ class Navigator:
 
     @property
     def stall(self) -> str:
-        """See koordgen.runtime.platform: why there is no way to the target now."""
+        """See koordgen.runtime.vehicle.platform: why there is no way to the target now."""
         return "" if self._arrived or self.reached else self._no_way.why
 
     def go_to(self, target: tuple[float, float]) -> None:

@@ -14,13 +14,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from koordgen.runtime.datagrams import DatagramLink, waiting
-from koordgen.runtime.feed import Feed
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Sensed, Unready, Vitals
-from koordgen.runtime.scans import ScanPort
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, Pose, transmissible
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, Pose, transmissible
+from koordgen.runtime.vehicle.datagrams import DatagramLink, waiting
+from koordgen.runtime.vehicle.feed import Feed
+from koordgen.runtime.vehicle.platform import Finding, Sensed, Unready, Vitals
+from koordgen.runtime.vehicle.scans import ScanPort
 from targets.car.avoidance import Avoidance, MakePlanning
 from targets.car.diagnosis import (
     STALE,
@@ -55,7 +55,7 @@ SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, 
 
 
 class Car:
-    """koordgen.runtime.platform.Platform for an F1/10-class car: drive and watchdog, position feed over UDP."""
+    """koordgen.runtime.vehicle.platform.Platform for an F1/10-class car: drive and watchdog, position feed over UDP."""
 
     period = STEP
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
 from targets.car.planner import Point2
 from targets.car.shapes import Footprint, Shape
 from targets.planning.world import Path

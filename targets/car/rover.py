@@ -12,9 +12,9 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.car import battery, rover_parameters
 from targets.car.mpc import STEP, Command
 from targets.car.settings import CarSettings

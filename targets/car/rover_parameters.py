@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from koordgen.runtime.platform import Finding
+from koordgen.runtime.vehicle.platform import Finding
 from targets.car.settings import CarSettings
 from targets.car.throttle import DEAD_ZONE, NEUTRAL, SPAN
 from targets.mavlink.link import GROUND_STATION

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car.bicycle import turning_radius
 
 # Paths are planned with less steering than the car has: the controller needs the rest to correct errors on a curve.

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol
 
-from koordgen.runtime.inside import Inside
-from koordgen.runtime.platform import Finding
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.inside import Inside
+from koordgen.runtime.vehicle.platform import Finding
 from targets.car.avoidance import MakePlanning
 from targets.car.drive import Drive
 from targets.car.inside import InsideLinks
@@ -95,7 +95,7 @@ class BodyDrive:
 
 
 class SimpleCar(Car):
-    """Implements koordgen.runtime.platform.Platform. `links` are asked for scans alone."""
+    """Implements koordgen.runtime.vehicle.platform.Platform. `links` are asked for scans alone."""
 
     def __init__(
         self,
@@ -121,5 +121,5 @@ class SimpleCar(Car):
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: Inside, body: Driver) -> SimpleCar:
-    """In a simulator that owns time; see koordgen.runtime.inside."""
+    """In a simulator that owns time; see koordgen.runtime.vehicle.inside."""
     return SimpleCar(settings, key, body, InsideLinks(surroundings), partial(bounded, surroundings), surroundings.now)

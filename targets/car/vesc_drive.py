@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.car import battery, vesc
 from targets.car.links import ByteLink, Links
 from targets.car.mpc import Command

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from koordgen.runtime.host import pip_install
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.ops.host import pip_install
+from koordgen.runtime.vehicle.platform import Unready
 
 Address = tuple[Any, ...]
 Chunk = tuple[bytes, Address | None]

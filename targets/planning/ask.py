@@ -8,8 +8,8 @@ from importlib import import_module
 from itertools import pairwise
 from typing import Any, Protocol
 
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point
 from targets.planning import own_trees
 from targets.planning.pipe import Answer, Question
 from targets.planning.room import Room, fixed, room

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from koordgen.runtime.geometry import segment_distance
-from koordgen.runtime.obstacles import Block, Cylinder, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import segment_distance
+from koordgen.runtime.values.obstacles import Block, Cylinder, Sphere
+from koordgen.runtime.values.points import Point
 
 BISECTIONS = 60  # of an interval within [0, 1]: more than a float has digits
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
-from koordgen.runtime.obstacles import Obstacle
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.obstacles import Obstacle
+from koordgen.runtime.values.points import Point, distance
 from targets.planning.room import Room, fixed
 from targets.planning.world import Path
 

@@ -2,8 +2,8 @@
 
 The least distance of a segment from a triangle is 0 where it goes through, or lies between the segment and one of the
 three sides, or between one of its ends and the triangle's inside, square above. Each of these is the distance of two
-points that do lie on the two, as in `koordgen.runtime.geometry`, whose way of two segments is taken here for many.
-A few triangles are measured one by one instead, which is sooner done.
+points that do lie on the two, as in `koordgen.runtime.values.geometry`, whose way of two segments is taken here for
+many. A few triangles are measured one by one instead, which is sooner done.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.runtime.geometry import segment_distance
-from koordgen.runtime.obstacles import Mesh
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import segment_distance
+from koordgen.runtime.values.obstacles import Mesh
+from koordgen.runtime.values.points import Point
 
 FEW = 12  # triangles
 
@@ -121,7 +121,8 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 
 
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
-    """The squared distances of one segment, start + s d, from many, first + t e: see `koordgen.runtime.geometry`."""
+    """The squared distances of one segment, start + s d, from many, first + t e: see
+    `koordgen.runtime.values.geometry`."""
     w = first - start
     n = np.cross(d, e)
     square = _dot(n, n)

@@ -16,7 +16,7 @@ from typing import Any
 
 from ompl import base, geometric, util
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.limit import STARTS, Limit
 from targets.planning.room import Room
 

@@ -9,7 +9,7 @@ import importlib.util
 import random
 import sys
 
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
 from targets.planning.limit import STARTS, Limit
 from targets.planning.room import Room
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.world import Path, Scene, World
 
 HEAD = 4  # bytes of a length, big-endian

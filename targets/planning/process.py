@@ -16,9 +16,9 @@ from typing import Protocol
 
 import msgspec
 
-from koordgen.runtime.inside import Inside as Surroundings
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.inside import Inside as Surroundings
+from koordgen.runtime.vehicle.platform import Unready
 from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World

@@ -16,9 +16,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from koordgen.runtime.geometry import segment_distance
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import segment_distance
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.planning.exact import Solid, solid_distance
 from targets.planning.mesh import Surface
 from targets.planning.world import Path, Scene, World

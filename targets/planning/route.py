@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any
 
-from koordgen.runtime.geometry import segment_distance
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import segment_distance
+from koordgen.runtime.values.points import Point
 
 AS_NEAR = 0.05  # metres by which a later leg must be nearer to a robot than an earlier one
 

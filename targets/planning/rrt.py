@@ -10,8 +10,8 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Protocol
 
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point, distance
 from targets.planning import own_trees
 from targets.planning.limit import Limit
 from targets.planning.room import Room, fixed, room

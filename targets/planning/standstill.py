@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Unready
 
 # Seconds without motion after which a vehicle counts as standing still: longer than an autopilot may seem not to follow
 # setpoints (`targets.quad.motion.UNFOLLOWED`), which has a message of its own.

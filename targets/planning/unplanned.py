@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 
 FORGOTTEN = 5.0  # seconds after which a call no longer says what the program wants
 # Vehicles on the ground and in the air share their tasks by asking for all of them: these answers are no stall.

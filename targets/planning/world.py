@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import msgspec
 
-from koordgen.runtime.obstacles import Obstacle
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Obstacle
+from koordgen.runtime.values.points import Grid, Point
 
 if TYPE_CHECKING:
     from targets.planning.room import Room

@@ -10,10 +10,10 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.safety import clamp, inside
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
 from targets.planning.room import Room, fixed

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.safety import clamp
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.framing import Message
 from targets.mavlink.link import GROUND_STATION, Link
 from targets.mavlink.parameters import Parameters, Wanted

@@ -6,9 +6,9 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, State
-from koordgen.runtime.settings import Box
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.vehicle.platform import Finding, State
 from targets.mavlink.framing import Message
 from targets.quad.check import DEADLINE, RIVAL, Heard, coordinates, misplaced, stranger, unheard
 from targets.quad.vehicles import identified

@@ -12,8 +12,8 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Message
 
 GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800  # seconds; 1980-01-06 in Unix time

@@ -13,9 +13,9 @@ from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.framing import Message
 from targets.mavlink.link import RESULTS, Link
 from targets.mavlink.parameters import Review, Wanted

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from functools import partial
 
-from koordgen.runtime.inside import Inside
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.vehicle.inside import Inside
 from targets.mavlink.inside import Direct
 from targets.planning.process import bounded
 from targets.quad.platform import Quad
 
 
 def made(settings: Settings, key: bytes | None, inside: Inside) -> Quad:
-    """See koordgen.runtime.inside."""
+    """See koordgen.runtime.vehicle.inside."""
     return Quad(
         settings,
         key,

@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterator
 from typing import Protocol
 
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
 from targets.planning.world import Path
 from targets.quad.reference import STANDING
 from targets.quad.trajectory import norm

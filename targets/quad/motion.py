@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.safety import clamp
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance, transmissible
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, distance, transmissible
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.rejoin import OpenSpace, Rejoin, Ways
@@ -84,7 +84,7 @@ class Motion:
 
     @property
     def stall(self) -> str:
-        """See koordgen.runtime.platform: why there is no way on from where the vehicle is."""
+        """See koordgen.runtime.vehicle.platform: why there is no way on from where the vehicle is."""
         return self._rejoin.stall
 
     def news(self) -> list[str]:

@@ -14,8 +14,8 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Pose
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.quad.external import Ned

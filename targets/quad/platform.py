@@ -13,14 +13,14 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.datagrams import DatagramLink
-from koordgen.runtime.feed import listen_for_poses
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Sensed, Unready, Vitals
-from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.scans import ScanPort, listen_for_scans
-from koordgen.runtime.settings import BadSettings, Settings
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.config.settings import BadSettings, Settings
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.feed import listen_for_poses
+from koordgen.runtime.vehicle.platform import Finding, Sensed, Unready, Vitals
+from koordgen.runtime.vehicle.safety import clamp, inside
+from koordgen.runtime.vehicle.scans import ScanPort, listen_for_scans
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.parameters import Wanted
@@ -71,9 +71,9 @@ def _bind(setting: str) -> DatagramLink:
 
 
 class Quad:
-    """Implements koordgen.runtime.platform.Platform. The fleet's key serves feeds alone: the autopilot's link is a wire
-    or loopback. `connect`, `bind`, `scans` and `wall` (the time of day) are what the surroundings give, and for
-    `diagnose` alone `clock` and `sleep`."""
+    """Implements koordgen.runtime.vehicle.platform.Platform. The fleet's key serves feeds alone: the autopilot's link
+    is a wire or loopback. `connect`, `bind`, `scans` and `wall` (the time of day) are what the surroundings give, and
+    for `diagnose` alone `clock` and `sleep`."""
 
     period = 0.05
 

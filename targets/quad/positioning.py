@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
-from koordgen.runtime.datagrams import DatagramLink, waiting
-from koordgen.runtime.feed import Feed
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Pose, distance
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Pose, distance
+from koordgen.runtime.vehicle.datagrams import DatagramLink, waiting
+from koordgen.runtime.vehicle.feed import Feed
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.parameters import Wanted

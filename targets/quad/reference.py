@@ -12,8 +12,8 @@ import math
 from collections import deque
 from itertools import pairwise
 
-from koordgen.runtime.safety import clamp
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.safety import clamp
 from targets.planning.world import Path
 from targets.quad.trajectory import ZERO, Limits, State, Trajectory, norm, plan, standing
 

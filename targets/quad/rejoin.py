@@ -12,7 +12,7 @@ import enum
 import math
 from typing import Protocol
 
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
 from targets.planning.standstill import Standstill
 from targets.planning.world import Path
 from targets.quad.check import coordinates
@@ -308,7 +308,7 @@ class Rejoin:
 
     @property
     def stall(self) -> str:
-        """Why the vehicle does not go on, "" while it does: see koordgen.runtime.platform."""
+        """Why the vehicle does not go on, "" while it does: see koordgen.runtime.vehicle.platform."""
         return self._standstill.holding or self._no_leg
 
     def news(self) -> list[str]:

@@ -26,10 +26,10 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.safety import clamp
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Vehicle
 from targets.quad.reference import Reference

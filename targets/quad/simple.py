@@ -12,12 +12,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-from koordgen.runtime.datagrams import DatagramLink
-from koordgen.runtime.inside import Inside
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.scans import listen_for_scans
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.inside import Inside
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.scans import listen_for_scans
 from targets.planning.process import Beside, bounded
 from targets.quad.avoidance import MakePlanning
 from targets.quad.motion import Motion
@@ -96,7 +96,7 @@ def turning(yaw: float | None, wanted: float | None) -> float:
 
 
 class SimpleQuad(Quad):
-    """Implements koordgen.runtime.platform.Platform."""
+    """Implements koordgen.runtime.vehicle.platform.Platform."""
 
     def __init__(
         self, settings: Settings, key: bytes | None, flyer: Flyer, *,
@@ -211,7 +211,7 @@ class SimpleQuad(Quad):
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: Inside, flyer: Flyer) -> SimpleQuad:
-    """In a simulator that owns time; see koordgen.runtime.inside."""
+    """In a simulator that owns time; see koordgen.runtime.vehicle.inside."""
     return SimpleQuad(
         settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
     )  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.values import Point, Pose, distance
+from koordgen.runtime.values.points import Point, Pose, distance
 
 MEMORY = 0.06  # seconds; at 50 samples a second, noise of 5 mm becomes 0.024 m/s, and an acceleration lags by 0.11 s
 # A sample is a jump when it is farther than SLACK, and what a vehicle is blown or falls in the time since the sample

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from koordgen.runtime.safety import inside
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.safety import inside
 
 CORNER = 0.1  # m by which a corner is cut at most, and by which braking amid it leaves the polyline at most
 BULGE = 0.005  # m by which the trajectory differs from its chords at most

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.quad.ardupilot import ARDUPILOT
 from targets.quad.telemetry import Telemetry
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.bodies import DeviceContext, Quadrotor
 from targets.sim.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
 from targets.sim.mavlink_estimate import Estimator

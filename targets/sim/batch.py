@@ -1,4 +1,4 @@
-"""Many moments of a fleet as arrays: what `surely` of a property is asked of (see koordgen/runtime/property.py).
+"""Many moments of a fleet as arrays: what `surely` of a property is asked of (see runtime/program/property.py).
 
 A number or truth value is an array over (moments, first robot, second robot, ...), of length 1 where it does not depend
 on them; a Point has its coordinates in front of that. Comparisons leave MARGIN, relative, for what arrays round.
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.runtime.property import UNKNOWN
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.property import UNKNOWN
+from koordgen.runtime.values.points import Point
 
 MARGIN = 1e-9
 MOST_AXES = 3  # of robots

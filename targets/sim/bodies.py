@@ -12,9 +12,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
-from koordgen.runtime.inside import Inside
-from koordgen.runtime.platform import Platform
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.vehicle.inside import Inside
+from koordgen.runtime.vehicle.platform import Platform
 from targets.sim.ports import Loopback, Wiring
 from targets.sim.upset import Upset
 
@@ -106,5 +106,5 @@ class Embodied(Protocol):
     this platform, and not its target's."""
 
     def platform(self, settings: Settings, key: bytes | None, inside: Inside) -> Platform:
-        """See koordgen.runtime.inside; a new one for each start of the agent."""
+        """See koordgen.runtime.vehicle.inside; a new one for each start of the agent."""
         ...

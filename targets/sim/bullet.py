@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.bodies import Vector
 from targets.sim.contacts import FLOOR_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import Vector
 
 AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from koordgen.runtime.trace import Observe
+from koordgen.runtime.trace.writer import Observe
 from targets.sim.bodies import BodyState
 from targets.sim.medium import Medium
 from targets.sim.scenario import Robot

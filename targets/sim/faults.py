@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.medium import medium, parted

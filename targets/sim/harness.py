@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.host import install_requirements, pip_install
+from koordgen.runtime.ops.host import install_requirements, pip_install
 from targets.sim import faults
 from targets.sim.contacts import NoEngine, choose
 from targets.sim.folder import GIVEN, SOURCE, Foreign, RunFolder

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from koordgen.runtime.rounds import PUBLISH
-from koordgen.runtime.runner import LATE
+from koordgen.runtime.agent.rounds import PUBLISH
+from koordgen.runtime.program.runner import LATE
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.trace import Mark, Record, Round, Violation, fault_text

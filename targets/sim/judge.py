@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from koordgen.runtime.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
-from koordgen.runtime.told import told
+from koordgen.runtime.monitor.told import told
+from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
 from targets.sim.trace import Found, Verdict, Violation
 
 Of = Literal["invariant", "initially", "assume"]

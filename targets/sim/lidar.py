@@ -7,8 +7,8 @@ import random
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from koordgen.runtime.scans import MOST_RAYS, Sweep, encode, packed
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.scans import MOST_RAYS, Sweep, encode, packed
 from targets.sim.bodies import BodyState, DeviceContext, Vector
 from targets.sim.ports import Port
 from targets.sim.scenario import BadScenario, Lidar

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.mavlink_params import Parameters
 from targets.sim.own_gps import OwnGps

@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.mavlink_copter import ACCEPTED, CRITICAL, DENIED, INFO, WARNING, Copter
 from targets.sim.mavlink_guided import Aim, Vector
 from targets.sim.mavlink_params import REAL, Parameter, Parameters

@@ -10,7 +10,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.mavlink_copter import Copter
 from targets.sim.mavlink_guided import STILL, Aim, Vector
 from targets.sim.mavlink_telemetry import Maker, Message

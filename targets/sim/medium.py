@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from targets.sim.schedule import Schedule
 
 

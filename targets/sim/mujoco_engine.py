@@ -20,8 +20,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.bodies import Vector
 from targets.sim.contacts import FLOOR_FRICTION, OBSTACLE_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
 from targets.sim.rigid import Array, rotations

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.bodies import Vector
 from targets.sim.rigid import Array, Mask, Motions, total
 

@@ -23,7 +23,7 @@ from random import Random
 
 import msgspec
 
-from koordgen.runtime.wire import LIMIT
+from koordgen.runtime.net.wire import LIMIT
 from targets.sim.medium import Medium
 
 LOOPBACK = "127.0.0.1"

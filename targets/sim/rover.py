@@ -15,7 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.settings import decode
 from targets.sim.bodies import Car, DeviceContext
 from targets.sim.mavlink_params import BYTE, REAL, SHORT, Parameter, Parameters

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point, distance, transmissible
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.bodies import Vector
 from targets.sim.contacts import AUTO, PACKAGES
 

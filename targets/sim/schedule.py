@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from targets.sim.bodies import Vector
 from targets.sim.scenario import MOST_OBSTACLES, Wind
 from targets.sim.upset import Positioning

@@ -50,7 +50,7 @@ class Direct(ABC):
         return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
-        """See koordgen.runtime.inside."""
+        """See koordgen.runtime.vehicle.inside."""
         make: Callable[..., Any] = importlib.import_module(self.module).inside
         return make(settings, key, inside, self)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.agent import main
+from koordgen.runtime.agent.process import main
 from targets.sim.bodies import Asked, BodyState, Vector
 
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.runtime.datagrams import raw_clock
+from koordgen.runtime.vehicle.datagrams import raw_clock
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
 from targets.sim.external import ExternalAutopilot

@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from koordgen.runtime.datagrams import raw_clock
-from koordgen.runtime.feed import Sample, encode
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.datagrams import raw_clock
+from koordgen.runtime.vehicle.feed import Sample, encode
 from targets.sim.bodies import BodyState, DeviceContext
 
 FEED_PERIOD = 0.02  # seconds

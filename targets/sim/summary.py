@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from koordgen.runtime.skips import name_of
+from koordgen.runtime.program.skips import name_of
 from targets.sim.bodies import Vector
 from targets.sim.noticed import Monitored, Noticed
 from targets.sim.noticed import as_text as noticed_text

@@ -15,8 +15,8 @@ from typing import IO, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.obstacles import Obstacle
-from koordgen.runtime.program import Fault
+from koordgen.runtime.program.program import Fault
+from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.scenario import Shared, World
 
@@ -136,7 +136,7 @@ class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
 
 class Stall(msgspec.Struct, frozen=True, tag_field="kind", tag="stall"):
     """A robot has had no way to what was commanded for `lasted` seconds, or has one again; `why` says what is wanted
-    and what is in the way (koordgen/runtime/stall.py). A `log` record has the same in words."""
+    and what is in the way (koordgen/runtime/vehicle/stall.py). A `log` record has the same in words."""
 
     state: Literal["begins", "goes on", "ends"]
     why: str
@@ -158,7 +158,7 @@ class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
 
 
 class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
-    """A property has come to another outcome, as far as this robot can tell (koordgen/runtime/watched.py, Change)."""
+    """A property has come to another outcome, as far as this robot can tell (runtime/trace/watched.py, Change)."""
 
     of: str
     name: str

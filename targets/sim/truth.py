@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.program import Calls, Port, Program, Variable
-from koordgen.runtime.property import UNKNOWN
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.program.program import Calls, Port, Program, Variable
+from koordgen.runtime.program.property import UNKNOWN
+from koordgen.runtime.values.points import Grid, Point
 from targets.sim.trace import Init, Round, Values
 
 # What a planner is asked with: a goal, and obstacles as cells.

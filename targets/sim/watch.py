@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.runtime.extern import BadExtern
-from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
+from koordgen.runtime.values.points import Point, Pose
 from targets.sim.batch import Batch
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent

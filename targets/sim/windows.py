@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.runtime.property import Properties
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.values.points import Point
 from targets.sim.scenario import Scenario
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"

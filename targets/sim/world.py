@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.contacts import AUTO, Solid, Touched, make
 from targets.sim.near import LOOK_EVERY, Near

@@ -16,8 +16,8 @@ from koordgen.emit.program import functions_module, program_text
 from koordgen.ir import decl as d
 from koordgen.ir.printer import show
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
-from koordgen.runtime import program as rt
-from koordgen.runtime.values import Opaque, Point
+from koordgen.runtime.program import program as rt
+from koordgen.runtime.values.points import Opaque, Point
 from koordgen.semantics import step
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes, declared

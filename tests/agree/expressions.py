@@ -23,7 +23,7 @@ from koordgen.ir.types import (
     is_key,
     list_of,
 )
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from tests.agree.general import PATH, General, Maker, binary, call, compare, length, remainder, remainder_of, when
 from tests.agree.kinds import AT, SIZE, constant, random_type, real, whole
 

@@ -24,7 +24,7 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from tests.agree.kinds import AT, SIZE, constant, parts, random_value, real, whole
 
 PATH = list_of(POINT)

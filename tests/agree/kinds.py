@@ -29,8 +29,8 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
-from koordgen.runtime.gridmap import GridMap, area, mark_free, mark_occupied
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.values.gridmap import GridMap, area, mark_free, mark_occupied
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.builtins import map_of, set_of
 from koordgen.semantics.values import RecordValue, Value
 from koordgen.source import Span

@@ -15,12 +15,12 @@ from koordgen.emit.program import program_text
 from koordgen.ir import decl as d
 from koordgen.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
 from koordgen.node import replace
-from koordgen.runtime.commits import winner
-from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Frame
-from koordgen.runtime.skips import LOST_CONTENTION, name_of
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.program import Frame
+from koordgen.runtime.program.skips import LOST_CONTENTION, name_of
+from koordgen.runtime.replication.commits import winner
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Sensed
 from koordgen.semantics import step
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes, declared

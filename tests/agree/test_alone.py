@@ -11,7 +11,7 @@ import pytest
 from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
 from koordgen.ir.verify import verify
-from koordgen.runtime.property import UNKNOWN, Known, judged
+from koordgen.runtime.program.property import UNKNOWN, Known, judged
 from tests.agree.both import Generated
 from tests.agree.formulas import with_formulas
 from tests.agree.programs import N_SYS, random_state

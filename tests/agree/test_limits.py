@@ -10,7 +10,8 @@ import pytest
 
 from koordgen.emit import size
 from koordgen.emit.program import program_text
-from koordgen.runtime import containers, metered, turns
+from koordgen.runtime.program import metered
+from koordgen.runtime.values import containers, turns
 from koordgen.semantics import eval, exec, numbers, values
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.step import initial

@@ -16,7 +16,7 @@ from koordgen.emit.program import program_text
 from koordgen.ir import decl as d
 from koordgen.ir import stmt as s
 from koordgen.node import Node, replace
-from koordgen.runtime import program as rt
+from koordgen.runtime.program import program as rt
 from koordgen.semantics import step
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.state import State

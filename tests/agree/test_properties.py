@@ -14,8 +14,8 @@ from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
 from koordgen.ir import decl as d
 from koordgen.ir.verify import verify
-from koordgen.runtime.property import Known, Outcome, Properties, judged
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.property import Known, Outcome, Properties, judged
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import declared
 from koordgen.semantics.property import Asked, holds_assumption, holds_property

@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES
 from koordgen.cli import main
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from tests.sim.watched import LINE as TURNS
 from tests.sim.watched import Watched
 

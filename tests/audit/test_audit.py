@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from tests.audit.fleets import LINE, audited, by_name, conditions, saved, watched
 from tests.replay.runs import Run
 

@@ -22,11 +22,11 @@ from koordgen.bundle.budget import (
 from koordgen.check import check
 from koordgen.emit.program import WIRE_FORMAT, program_text
 from koordgen.ir.decl import Program
-from koordgen.runtime import layout, wire
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.layout import Layout, TooLarge
-from koordgen.runtime.program import Program as Generated
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.net import layout, wire
+from koordgen.runtime.net.layout import Layout, TooLarge
+from koordgen.runtime.program.program import Program as Generated
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
 

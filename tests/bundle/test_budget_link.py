@@ -10,7 +10,7 @@ from benchmarks.fixtures.fleet import Fleet
 from koordgen.bundle.budget import check_link, on_the_medium, overhead, round_bytes
 from koordgen.ir.decl import Program
 from koordgen.medium import Link
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from tests.bundle.test_budget import checked, generated
 
 CALM = Link(loss=0.0)

@@ -79,7 +79,9 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     assert message.endswith("own.py leads out of its folder")
 
 
-@pytest.mark.parametrize("module", ["koordgen.runtime.agent", "program", "targets.car", "__main__", "a_functions"])
+@pytest.mark.parametrize(
+    "module", ["koordgen.runtime.agent.process", "program", "targets.car", "__main__", "a_functions"]
+)
 def test_a_file_of_the_bundle_is_never_replaced(tmp_path: Path, module: str) -> None:
     ((_, message),) = told(tmp_path, None, Driver(module, "Hvac"))
     assert message.startswith("a driver's file cannot be called")

@@ -24,8 +24,8 @@ class Mine:
 """
 RUN = """
 import time
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point
 from targets.planning.process import Beside, made
 from targets.planning.world import Scene, World
 

@@ -10,7 +10,7 @@ import pytest
 from koordgen import fleet, manifest, resources
 from koordgen.bundle.plan import Files, plan, read_ingredients
 from koordgen.pipeline import check_file
-from koordgen.runtime.settings import BadSettings, load
+from koordgen.runtime.config.settings import BadSettings, load
 from koordgen.source import Source
 from tests.golden.test_golden import PROGRAMS
 

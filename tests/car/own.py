@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.world import Path, Scene, World
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks.fixtures import car_scenes as scenes
 from benchmarks.fixtures.car_checker import gap, outline
-from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Obstacle
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car.avoidance import MakePlanning
 from targets.car.ground import PAD, ground
 from targets.car.platform import Car

@@ -9,7 +9,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.car import vesc
 from targets.car.platform import Car
 from targets.planning.process import Inside

@@ -16,9 +16,9 @@ import pytest
 
 from benchmarks.fixtures import car_scenes as scenes
 from benchmarks.fixtures.car_checker import collisions
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car import vesc
 from targets.car.curves import Curve
 from targets.car.links import RealLinks

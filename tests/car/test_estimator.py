@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.points import Point, Pose
 from targets.car.bicycle import State, advance, turning_radius, wrap
 from targets.car.estimator import Estimator
 

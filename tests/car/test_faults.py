@@ -9,9 +9,9 @@ from contextlib import suppress
 
 import pytest
 
-from koordgen.runtime.feed import Sample, encode
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.feed import Sample, encode
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car import vesc
 from targets.car.platform import WAIT_FOR_FEED, Car
 from targets.car.vesc_drive import STARTING

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point
 from targets.car.bicycle import State, advance
 from targets.car.fence import beyond, stops_inside
 from targets.car.mpc import STEP, Command

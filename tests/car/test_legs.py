@@ -10,10 +10,10 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.car_checker import gap, outline
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.settings import Safety
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car.bicycle import State, advance
 from targets.car.navigator import STRAYED
 from targets.car.platform import Car

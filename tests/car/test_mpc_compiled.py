@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.native import NotCompiled
+from koordgen.runtime.native.loader import NotCompiled
 from targets.car.mpc import STEPS, choose
 from targets.car.solver.compiled import CompiledSolver, load
 from targets.car.solver.fallback import CasadiSolver

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.values.points import Grid, Point
 from tests.car.world import World
 
 PATH = (Point(1.5, 0.0, 0.0), Point(3.0, 1.5, 0.0), Point(3.0, 3.0, 0.0))

@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.fixtures.car_checker import collisions, gap, infeasible, outline, poses
 from benchmarks.fixtures.car_scenes import CAR, ROOM, ask, case, curve, world
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Grid, Point
 from targets.car.ask import Asked
 from targets.car.bicycle import wrap
 from targets.car.curves import Curve, Triple, along, dubins, reeds_shepp

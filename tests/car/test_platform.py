@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from koordgen.runtime.platform import Platform
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Platform
 from targets.car import vesc
 from tests.car.world import World, standing
 

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car.fence import beyond
 from targets.car.mpc import Command
 from targets.car.platform import Car

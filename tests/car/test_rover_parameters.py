@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Finding
+from koordgen.runtime.vehicle.platform import Finding
 from targets.car.rover_parameters import rules
 from targets.car.settings import CarSettings
 from targets.sim.mavlink_params import Parameters

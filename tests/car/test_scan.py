@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.scans import PATIENCE, Sweep, encode, packed
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.scans import PATIENCE, Sweep, encode, packed
 from tests.car.world import KEY, World
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car.platform import Car
 from targets.car.settings import CarSettings, decode
 from tests.car.world import KEY, Wire, robot_settings

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder
+from koordgen.runtime.values.points import Point
 from targets.sim.upset import Upset
 from tests.car.test_avoidance import among
 from tests.car.world import TestBody, World

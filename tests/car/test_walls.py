@@ -11,7 +11,7 @@ import pytest
 from benchmarks.fixtures.car_checker import collisions, infeasible
 from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import ask, curve, world
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.car.ask import Asked
 from targets.car.field import FAR, Cells, Field
 from targets.car.overlap import ShapeTable

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.car import vesc
 from targets.car.links import SerialLink
 from targets.car.watched import WatchdogProcess
@@ -207,7 +207,7 @@ def test_one_that_cannot_be_started_is_told_and_nothing_may_be_driven(
 # An agent in a process of its own: a platform's drive, commanded at 20 Hz, that gets stuck in the way it is told.
 STUCK = """
 import ctypes, sys, time
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.drive import opened
 from targets.car.links import RealLinks
 from targets.car.mpc import Command

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from koordgen.runtime.datagrams import DatagramLink
-from koordgen.runtime.feed import Sample, encode
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.scans import listen_for_scans
-from koordgen.runtime.settings import Box, Origin, Peer, Settings
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.feed import Sample, encode
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.scans import listen_for_scans
 from targets.car.bicycle import State, advance
 from targets.car.links import RealLinks
 from targets.car.platform import Car

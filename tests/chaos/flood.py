@@ -6,8 +6,8 @@ import heapq
 from random import Random
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
-from koordgen.runtime.wire import LIMIT
+from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal
+from koordgen.runtime.net.wire import LIMIT
 
 KINDS = ("noise", "cut", "flipped", "replayed", "foreign key", "oversized", "grown")
 HEARD = 400  # genuine datagrams that the attacker keeps

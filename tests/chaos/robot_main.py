@@ -13,10 +13,10 @@ from typing import Any
 
 sys.path.insert(0, sys.argv[1])  # the bundle's own copy of the runtime, not the checkout's
 
-from koordgen.runtime.agent import main
-from koordgen.runtime.platform import Finding, Sensed
-from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.agent.process import main
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Sensed
 
 PR_SET_PDEATHSIG = 1
 

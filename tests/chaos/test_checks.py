@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.points import Point
 from tests.chaos.checks import current, wrong_reads, wrong_sums
 from tests.chaos.virtual import Still, counter_program, finished, steps_program, told
 

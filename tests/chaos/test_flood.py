@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.outbox import AHEAD
-from koordgen.runtime.values import Point
+from koordgen.runtime.agent.outbox import AHEAD
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.points import Point
 from tests.chaos.flood import Attacker
 from tests.chaos.runs import Say, scaled
 from tests.chaos.virtual import Still, counter_program

@@ -17,11 +17,11 @@ from random import Random
 from typing import Any, ClassVar, TypeVar
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.program import Program
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.clock import SimulatedClock
+from koordgen.runtime.values.points import Point
 from tests.chaos.bundle import PROGRAMS
 from tests.chaos.checks import NOT_CURRENT, Lines, commits, wrong_reads, wrong_sums
 from tests.chaos.runs import Say

@@ -33,7 +33,7 @@ from koordgen.cli import main
 from koordgen.cli.terminal import Line
 from koordgen.mocap import Mocap
 from koordgen.pipeline import read_fleet
-from koordgen.runtime.feed import Feed
+from koordgen.runtime.vehicle.feed import Feed
 from tests.terminal import terminal
 
 KEY = bytes(range(32))

@@ -15,7 +15,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.diagnostics import CATALOGUE
-from koordgen.runtime import skips
+from koordgen.runtime.program import skips
 from tests.disk import small_disk
 
 ROOT = Path(__file__).parents[2]

@@ -388,5 +388,5 @@ def test_settings_of_an_agent_have_defaults() -> None:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr("koordgen.runtime.status.TIMEOUT", 1.0)
+    monkeypatch.setattr("koordgen.runtime.ops.status.TIMEOUT", 1.0)
     yield

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.settings import Safety, load
+from koordgen.runtime.config.settings import Safety, load
 
 ROOT = Path(__file__).parents[2]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"

@@ -16,9 +16,9 @@ import pytest
 
 from koordgen import manifest, robots
 from koordgen.ir.types import GENERIC, NAMED
-from koordgen.runtime.findings import OWN
-from koordgen.runtime.platform import Platform
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.ops.findings import OWN
+from koordgen.runtime.vehicle.platform import Platform
 from tests.programs import build, settings_of
 
 TARGETS = [manifest.load(name) for name in manifest.available()]
@@ -162,7 +162,7 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 def test_robots_limit_is_the_wires() -> None:
     from koordgen.cli import values
     from koordgen.follow import read
-    from koordgen.runtime.wire import MAX_ROBOTS
+    from koordgen.runtime.net.wire import MAX_ROBOTS
 
     assert robots.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
 

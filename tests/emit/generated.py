@@ -10,8 +10,8 @@ from koordgen.check import check
 from koordgen.emit.program import program_text
 from koordgen.ir.decl import Program as IR
 from koordgen.ir.verify import verify
-from koordgen.runtime import program as rt
-from koordgen.runtime.values import Point
+from koordgen.runtime.program import program as rt
+from koordgen.runtime.values.points import Point
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
 

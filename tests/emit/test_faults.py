@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.program import Fault
+from koordgen.runtime.program.program import Fault
 from tests.emit.generated import MOTION, load, step
 
 

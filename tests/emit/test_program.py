@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from koordgen.emit.program import program_text
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.program import Effects, Fault
-from koordgen.runtime.values import Grid, Opaque, Point
+from koordgen.runtime.program.program import Effects, Fault
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.state import Store, World, nobody
 from koordgen.semantics.step import execute, initial
@@ -138,7 +138,7 @@ def ids(s): return {3, 1, *s}
 def tasks(t): return [t, (Point(1, 2, 3), "x"), {"at": [1, 2, 3], "name": "y"}]
 def where(m): return m
 def half(f): return 1
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 """
 EXTERNS = """extern type Ticket
 def Task:
@@ -193,7 +193,9 @@ def test_values_go_to_python_and_come_back() -> None:
     ],
 )
 def test_what_is_none_of_the_type_is_told(name: str, call: str, returned: str, wanted: str) -> None:
-    functions = FUNCTIONS + f"from koordgen.runtime.gridmap import GridMap\ndef {name}(*args): return {returned}\n"
+    functions = (
+        FUNCTIONS + f"from koordgen.runtime.values.gridmap import GridMap\ndef {name}(*args): return {returned}\n"
+    )
     done = step(load(EXTERNS + event(call), functions))
     assert isinstance(done, Fault)
     assert done.reason.startswith(f"{name} returned ") and done.reason.endswith(f", not {wanted}"), done.reason

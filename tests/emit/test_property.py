@@ -9,8 +9,8 @@ import pytest
 
 from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
-from koordgen.runtime.property import UNKNOWN, Bound, Known, Outcome, Properties, Read, Trail, judged
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.property import UNKNOWN, Bound, Known, Outcome, Properties, Read, Trail, judged
+from koordgen.runtime.values.points import Point
 from tests.emit.generated import _module, checked
 
 TEXT = """\

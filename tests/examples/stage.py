@@ -16,7 +16,7 @@ from koordgen.check.params import with_params
 from koordgen.fleet import Fleet
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file, read_fleet
-from koordgen.runtime.values import Grid, Point, Scan, distance
+from koordgen.runtime.values.points import Grid, Point, Scan, distance
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import holds_property

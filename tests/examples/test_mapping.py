@@ -10,8 +10,8 @@ import pytest
 
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
-from koordgen.runtime.gridmap import GridMap, area, mark_free, mark_occupied, merge
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.values.gridmap import GridMap, area, mark_free, mark_occupied, merge
+from koordgen.runtime.values.points import Grid, Point
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.state import State, World
 from koordgen.semantics.step import enabled, execute, initial

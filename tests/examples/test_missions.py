@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.gridmap import GridMap, is_free, is_occupied
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.values.gridmap import GridMap, is_free, is_occupied
+from koordgen.runtime.values.points import Grid, Point
 from koordgen.semantics.state import State
 from koordgen.semantics.values import Value
 from tests.examples.stage import Stage

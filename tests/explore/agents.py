@@ -9,10 +9,10 @@ from typing import Any
 from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
 from koordgen.emit.program import program_text
 from koordgen.ir import decl
-from koordgen.runtime.commits import winner
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.platform import Sensed
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.replication.commits import winner
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Sensed
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.property import holds_assumption
 from koordgen.semantics.state import State, Store

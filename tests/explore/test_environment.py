@@ -9,7 +9,7 @@ import pytest
 from koordgen.explore.environment import STRAIGHT, Environment, Lacking
 from koordgen.explore.lidar import lidar
 from koordgen.ir.decl import Program
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from tests.explore.reference import explored
 from tests.explore.test_search import MOTION, read
 from tests.semantics.programs import compiled

@@ -14,7 +14,7 @@ from koordgen.ir.decl import Program
 from koordgen.prove.solve import Solver
 from koordgen.prove.trace import About
 from koordgen.prove.verdict import Question, prove
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.source import Source, Span
 from tests.explore.reference import explored, search
 from tests.semantics.programs import compiled

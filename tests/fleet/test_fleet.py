@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from koordgen import fleet, manifest, medium
 from koordgen.offered import Fits
 from koordgen.robots import control_port
-from koordgen.runtime.settings import Network, Safety, Settings
+from koordgen.runtime.config.settings import Network, Safety, Settings
 from koordgen.source import Source, Span
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"

@@ -10,8 +10,8 @@ import pytest
 from koordgen import fleet, manifest
 from koordgen.offered import Known
 from koordgen.pipeline import Rejected, check_file, read_fleet
-from koordgen.runtime.monitor import LOOPS
-from koordgen.runtime.settings import Action
+from koordgen.runtime.config.settings import Action
+from koordgen.runtime.monitor.monitor import LOOPS
 from koordgen.source import Source, Span
 
 TARGETS = {name: manifest.load(name) for name in manifest.available()}

@@ -14,8 +14,8 @@ import pytest
 from koordgen import fleet
 from koordgen.mesh import BadMesh, read_mesh
 from koordgen.obstacles import MOST_BYTES, MOST_FACES, MOST_OBSTACLES
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from koordgen.source import Source, Span
 from tests.fleet.test_fleet import GOOD, PARAMS, TARGETS, read
 

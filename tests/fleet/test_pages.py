@@ -11,19 +11,19 @@ import pytest
 
 from koordgen import fleet
 from koordgen.bundle.budget import most_init
-from koordgen.runtime import wire
-from koordgen.runtime.settings import Safety
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net import wire
 
 DOCS = Path(__file__).parents[2] / "docs"
 MEMORY = (DOCS / "shared-memory.md").read_text(encoding="utf-8")
 FLEET = (DOCS / "fleet.md").read_text(encoding="utf-8")
-BOUNDS = re.findall(r"^\| `(\w+)` in `(\w+)\.py` \| (\d+) \|", MEMORY, re.MULTILINE)
+BOUNDS = re.findall(r"^\| `(\w+)` in `([\w/]+)\.py` \| (\d+) \|", MEMORY, re.MULTILINE)
 MESSAGES = dict(re.findall(r"^\| ([A-Z]\w+) \| (`.*?`) \|", MEMORY, re.MULTILINE))
 
 
 @pytest.mark.parametrize(("name", "module", "value"), BOUNDS)
 def test_bounds_are_the_codes(name: str, module: str, value: str) -> None:
-    assert getattr(import_module(f"koordgen.runtime.{module}"), name) == int(value)
+    assert getattr(import_module(f"koordgen.runtime.{module.replace('/', '.')}"), name) == int(value)
 
 
 def test_every_message_has_its_fields() -> None:
@@ -73,4 +73,4 @@ def test_what_is_said_of_logs_is_what_robots_log(words: str) -> None:
     page = (DOCS / "cli.md").read_text(encoding="utf-8").partition("### A robot is gone")[2]
     runtime = DOCS.parent / "koordgen" / "runtime"
     assert words in page
-    assert any(words in path.read_text(encoding="utf-8") for path in runtime.glob("*.py"))
+    assert any(words in path.read_text(encoding="utf-8") for path in runtime.rglob("*.py"))

@@ -12,20 +12,20 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.ledger import Ledger
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Effects, Life, Variable
-from koordgen.runtime.replica import Replica
-from koordgen.runtime.rounds import Lost, Rounds
-from koordgen.runtime.runner import Outcome
-from koordgen.runtime.store import KEPT
-from koordgen.runtime.trace import Record
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Decided, Head, Message, Round, View
+from koordgen.runtime.agent.rounds import Lost, Rounds
+from koordgen.runtime.agent.store import KEPT
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.ledger import Ledger
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.wire import Closing, Decided, Head, Message, Round, View
+from koordgen.runtime.program.program import Effects, Life, Variable
+from koordgen.runtime.program.runner import Outcome
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.replica import Replica
+from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.bounds import Fixed
+from koordgen.runtime.vehicle.platform import Sensed
 
 TOKEN = bytes(8)
 SENSED = Sensed({}, None)

@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 
-from koordgen.runtime import views
-from koordgen.runtime.views import Word
-from koordgen.runtime.wire import MAX_ROBOTS, View
+from koordgen.runtime.net.wire import MAX_ROBOTS, View
+from koordgen.runtime.replication import views
+from koordgen.runtime.replication.views import Word
 from tests.model.rounds import Rounds
 from tests.model.state import (
     Life,

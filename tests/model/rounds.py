@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
-from koordgen.runtime.comeback import Comeback
-from koordgen.runtime.commits import counting
-from koordgen.runtime.ledger import Ledger
-from koordgen.runtime.log import Entry
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, View
-from koordgen.runtime.words import Words
+from koordgen.runtime.net.ledger import Ledger
+from koordgen.runtime.net.wire import Closing, View
+from koordgen.runtime.replication.comeback import Comeback
+from koordgen.runtime.replication.commits import counting
+from koordgen.runtime.replication.log import Entry
+from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.words import Words
 from tests.model.state import (
     AS_THEY_ARE,
     COMMIT,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from koordgen.runtime.views import Vote, Word
-from koordgen.runtime.wire import View
+from koordgen.runtime.net.wire import View
+from koordgen.runtime.replication.views import Vote, Word
 
 N = 3
 SKIP, PLAIN, COMMIT = 0, 1, 2

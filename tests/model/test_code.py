@@ -6,9 +6,9 @@ from contextlib import suppress
 
 import pytest
 
-from koordgen.runtime import memory, views
-from koordgen.runtime.outbox import Outbox
-from koordgen.runtime.replica import Replica
+from koordgen.runtime.agent.outbox import Outbox
+from koordgen.runtime.replication import memory, views
+from koordgen.runtime.replication.replica import Replica
 from tests.model.lab import Violation
 from tests.model.schedules import Schedule
 

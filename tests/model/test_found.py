@@ -5,9 +5,20 @@ A course that still goes wrong is marked as such, strictly: who mends it takes t
 
 from __future__ import annotations
 
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.views import Word, choose
-from koordgen.runtime.wire import Accept, Accepted, Closing, Decided, Prepare, Promise, Round, StatePiece, View, Want
+from koordgen.runtime.net.wire import (
+    Accept,
+    Accepted,
+    Closing,
+    Decided,
+    Prepare,
+    Promise,
+    Round,
+    StatePiece,
+    View,
+    Want,
+)
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.views import Word, choose
 from tests.model.lab import Fleet
 
 BEGIN = View(0, 1, (0, 0, 0))

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from msgspec.structs import replace
 
-from koordgen.runtime.replica import Replica
-from koordgen.runtime.wire import Closing, Need, Round
+from koordgen.runtime.net.wire import Closing, Need, Round
+from koordgen.runtime.replication.replica import Replica
 from tests.model.lab import SENSED, Fleet, Flight
 from tests.model.test_found import rounds_of_all
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime import views, words
-from koordgen.runtime.comeback import Comeback
-from koordgen.runtime.views import Word, majority
-from koordgen.runtime.wire import View
-from koordgen.runtime.words import Words
+from koordgen.runtime.net.wire import View
+from koordgen.runtime.replication import views, words
+from koordgen.runtime.replication.comeback import Comeback
+from koordgen.runtime.replication.views import Word, majority
+from koordgen.runtime.replication.words import Words
 from tests.model import rounds
 from tests.model.explore import BEGIN, Found, explore
 from tests.model.heal import Healing

@@ -10,13 +10,13 @@ from types import TracebackType
 from typing import Any
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime.control import Control
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.program import Effects
-from koordgen.runtime.recent import Recent
-from koordgen.runtime.settings import Box, Origin, Peer, Settings
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.ops.control import Control
+from koordgen.runtime.ops.recent import Recent
+from koordgen.runtime.program.program import Effects
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point
 from tests.runtime.transports import free_ports
 
 DELTA = 0.1

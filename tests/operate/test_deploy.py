@@ -36,7 +36,7 @@ def test_real_bundles_on_three_hosts(fleet: Deployed, capfd: pytest.CaptureFixtu
     (first,) = fleet.confirmed()
     assert f"release {first}: on 4 robots, confirmed" in capfd.readouterr().out
     for robot, host in ROBOTS.items():
-        assert (place(fleet.ssh.hosts[host]) / "current" / robot / "koordgen/runtime/agent.py").is_file()
+        assert (place(fleet.ssh.hosts[host]) / "current" / robot / "koordgen/runtime/agent/process.py").is_file()
     assert not (place(fleet.ssh.hosts["a"]) / "current/bert").exists()
     (key,) = (place(fleet.ssh.hosts["a"]) / "keys").iterdir()
     assert key.read_bytes() == fleet.key.read_bytes() and key.stat().st_mode & 0o777 == 0o600

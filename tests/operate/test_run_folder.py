@@ -16,7 +16,7 @@ from koordgen.ir.decl import Program
 from koordgen.operate.run_folder import flown, write_trace
 from koordgen.pipeline import check_file, read_fleet
 from koordgen.replay.trace import BadTrace
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from tests.replay.kept import Kept
 from tests.replay.runs import Run
 

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.world import Scene, World
 
 

@@ -20,7 +20,7 @@ from benchmarks.fixtures.arenas import (
     arena,
     many,
 )  # fmt: skip
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.ask import Asked
 from targets.planning.room import Room, fixed
 from targets.planning.world import World

@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Grid, Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Grid, Point, distance
 from targets.planning.ask import NAMES, Asked
 from targets.planning.exact import solid_distance
 from targets.planning.mesh import Surface

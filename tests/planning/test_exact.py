@@ -12,8 +12,8 @@ import fcl
 import numpy as np
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values.points import Point
 from targets.planning.exact import Solid, solid_distance
 from targets.planning.mesh import Surface
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from benchmarks.fixtures.quad_rig import FENCE
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.planning.guard import Guard
 from targets.planning.room import fixed, room
 from targets.planning.world import Scene, World

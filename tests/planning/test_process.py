@@ -13,10 +13,10 @@ from pathlib import Path as FilePath
 
 import pytest
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Grid, Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.planning import process
 from targets.planning.process import Beside, Inside, made
 from targets.planning.world import Scene, World

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.planning.route import Route, passed
 
 

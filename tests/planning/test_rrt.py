@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.planning.process import Inside
 from targets.planning.world import Scene, World
 

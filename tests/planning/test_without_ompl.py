@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.fixtures import car_scenes as scenes
 from benchmarks.fixtures.car_checker import collisions
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point, distance
 from targets.car import ask as car
 from targets.car.planner import segments
 from targets.planning import own_trees

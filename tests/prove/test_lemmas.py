@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point, distance
 
 NUMBERS = st.one_of(st.integers(-3, 3).map(float), st.floats(-100, 100, allow_subnormal=False))
 POINTS = st.builds(Point, NUMBERS, NUMBERS, NUMBERS)

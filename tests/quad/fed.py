@@ -9,8 +9,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from benchmarks.fixtures.quad_rig import ORIGIN, STEP, Rig, settings
-from koordgen.runtime.feed import Sample, encode
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.feed import Sample, encode
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
 from targets.sim.bodies import BodyState, DeviceContext

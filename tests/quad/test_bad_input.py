@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Rig, at, commands, sent
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from tests.quad.test_hands import restart
 from tests.quad.test_link import heartbeat
 

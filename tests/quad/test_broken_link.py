@@ -9,8 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, sent, told
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import distance
+from koordgen.runtime.values.points import distance
+from koordgen.runtime.vehicle.platform import Unready
 
 
 def test_silence_is_reported_and_ends_the_waiting() -> None:

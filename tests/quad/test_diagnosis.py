@@ -8,8 +8,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import ORIGIN
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Framer
 from targets.quad.external import Ned, gps_input, odometry, vision
 

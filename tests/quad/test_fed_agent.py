@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.quad_rig import at
-from koordgen.runtime.findings import SURROUNDINGS
-from koordgen.runtime.values import Point
+from koordgen.runtime.ops.findings import SURROUNDINGS
+from koordgen.runtime.values.points import Point
 from tests.quad.fed import FedRig
 
 MODES = pytest.mark.parametrize("mode", ["gps_input", "vision", "odometry"])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.geodesy import LocalFrame, ecef, geodetic
+from koordgen.runtime.values.geodesy import LocalFrame, ecef, geodetic
 
 MM = 1e-3
 latitudes = st.one_of(st.floats(-90, 90), st.sampled_from([-90.0, -89.99999, 0.0, 89.95, 89.9999999, 90.0]))

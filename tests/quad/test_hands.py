@@ -6,8 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Rig, at, commands, sent, told
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Unready
 from tests.quad.test_link import heartbeat
 
 

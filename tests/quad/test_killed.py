@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 AGENT = """
 import sys
 from pathlib import Path
-from koordgen.runtime.agent import main
+from koordgen.runtime.agent.process import main
 from targets.quad.platform import Quad
 from benchmarks.fixtures.lineform import PROGRAM
 sys.exit(main(PROGRAM, Quad, Path(sys.argv[1]), []))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Wire
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.framing import Framer
 from targets.mavlink.link import Link, Vehicle
 from targets.mavlink.transport import opened

@@ -9,10 +9,10 @@ import pytest
 from benchmarks.fixtures.fleet import Kept
 from benchmarks.fixtures.lineform import PROGRAM
 from benchmarks.fixtures.quad_rig import Rig, at, settings
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.machine import SURROUNDINGS, Agent
-from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.trace import Trace
+from koordgen.runtime.agent.machine import SURROUNDINGS, Agent
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.trace.writer import Trace
+from koordgen.runtime.values.clock import SimulatedClock
 
 LAND = 9
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import ORIGIN, Wire
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad.origin import Origin

@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.quad_rig import Rig, settings
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.values import Grid, Point, distance
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Grid, Point, distance
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
 from targets.quad.platform import Quad

@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import FENCE, SETPOINT, Rig, at, commands, sent, told
-from koordgen.runtime.geometry import path_distance
-from koordgen.runtime.platform import Platform, Unready
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.quad.motion import MARGIN
 
 

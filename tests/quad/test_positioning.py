@@ -12,10 +12,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, at, sent, settings
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.safety import Guard
-from koordgen.runtime.settings import BadSettings, Safety
-from koordgen.runtime.values import Point, Pose, distance
+from koordgen.runtime.config.settings import BadSettings, Safety
+from koordgen.runtime.values.points import Point, Pose, distance
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.safety import Guard
 from targets.quad.platform import Quad
 from targets.quad.positioning import JUMPED, PATIENCE, STALE
 from targets.quad.track import Track

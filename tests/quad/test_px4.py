@@ -9,8 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, commands, sent, told
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Unready
 from targets.quad.px4 import LAND, OFFBOARD, PX4, custom_mode
 from targets.sim.mavlink_copter import Copter
 from tests.quad.fed import FedRig

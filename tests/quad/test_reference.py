@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point, distance
 from targets.quad.reference import Reference
 from targets.quad.trajectory import CORNER, ZERO, Limits, norm
 

@@ -10,10 +10,10 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.quad_rig import Rig, at, settings
-from koordgen.runtime.obstacles import Block, Obstacle
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.settings import Safety
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.values.obstacles import Block, Obstacle
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Unready
 from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
 from targets.planning.standstill import NO_PROGRESS

@@ -9,9 +9,9 @@ from itertools import count
 import pytest
 
 from benchmarks.fixtures.quad_rig import Rig
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.scans import PATIENCE, Sweep, encode, packed
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.scans import PATIENCE, Sweep, encode, packed
 
 
 @pytest.fixture

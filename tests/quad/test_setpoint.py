@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, SETPOINT, Wire
-from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.safety import clamp, inside
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad import setpoint as setpoints

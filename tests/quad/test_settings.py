@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.quad_rig import settings
-from koordgen.runtime.settings import BadSettings
+from koordgen.runtime.config.settings import BadSettings
 from targets.quad.platform import Body, Quad
 
 

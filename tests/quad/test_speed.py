@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import PointMass, Rig
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.world import World

@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, commands, sent, told
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.framing import Framer
 from tests.quad.test_link import heartbeat
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.values import Point, Pose, distance
+from koordgen.runtime.values.points import Point, Pose, distance
 from targets.quad.track import GUSTS, SLACK, WHILE, Track
 
 RATE = 0.02

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.runtime.safety import clamp
-from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.safety import clamp
 from targets.quad.trajectory import CLOSE, CORNER, ZERO, Limits, State, Trajectory, norm, plan
 
 BOX = Box(Point(-6, -5, 0), Point(6, 5, 4))

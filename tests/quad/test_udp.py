@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass, settings
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.transport import opened
 from targets.quad.platform import Quad
 from targets.sim.autopilot import SimulatedAutopilot

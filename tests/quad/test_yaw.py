@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Rig, at, told
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.framing import Framer
 from targets.sim.bodies import Vector
 

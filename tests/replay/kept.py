@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES
-from koordgen.runtime.trace_parts import Parts
+from koordgen.runtime.trace.parts import Parts
 from tests.replay.runs import Run, _start
 
 

@@ -12,8 +12,8 @@ from koordgen.check.params import with_params
 from koordgen.emit.program import program_hash, program_text
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.settings import Safety
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net.network import Conditions
 from targets.sim import trace
 from targets.sim.trace import End, Header, RobotName
 from tests.emit.generated import _module
@@ -72,7 +72,7 @@ class Run:
 
 
 def _start(pid: int) -> Any:
-    from koordgen.runtime.values import Point
+    from koordgen.runtime.values.points import Point
 
     return Point(2.0 * pid, 0.0, 0.0)
 

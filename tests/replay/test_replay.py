@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from tests.replay.runs import EXAMPLES, Run, example
 
 ALL = """\
@@ -69,7 +69,7 @@ Stop:
   eff: stop
 """
 FUNCTIONS = """\
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 def weigh(marks, me):
     return (Point(0.5, 0.25 * me, 0.0), len(marks) + me)
 """

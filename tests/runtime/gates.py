@@ -11,16 +11,16 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import gate, wire
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.fleet_clock import FleetClock
-from koordgen.runtime.gate import Gate
-from koordgen.runtime.link import Link, Usuals
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.seal import MEMORY
-from koordgen.runtime.sessions import Sessions
-from koordgen.runtime.transport import Transport
-from koordgen.runtime.wire import Closing, Head, Hello, Message, Round, View
+from koordgen.runtime.net import gate, wire
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.gate import Gate
+from koordgen.runtime.net.link import Link, Usuals
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.seal import MEMORY
+from koordgen.runtime.net.sessions import Sessions
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.net.wire import Closing, Head, Hello, Message, Round, View
+from koordgen.runtime.values.clock import SimulatedClock
 
 NO_GATE = gate.COMPILED.why()
 needs_gate = pytest.mark.skipif(bool(NO_GATE), reason=NO_GATE)

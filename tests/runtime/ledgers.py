@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime import gate, wire
-from koordgen.runtime.gate import NOTED, OTHER, USUAL, Gate
-from koordgen.runtime.ledger import (
+from koordgen.runtime.net import gate, wire
+from koordgen.runtime.net.gate import NOTED, OTHER, USUAL, Gate
+from koordgen.runtime.net.ledger import (
     APPLIED,
     DEPTH,
     LACKING,
@@ -30,10 +30,10 @@ from koordgen.runtime.ledger import (
     Collected,
     Ledger,
 )
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.seal import MEMORY, seal
-from koordgen.runtime.sessions import Sessions
-from koordgen.runtime.wire import Closing, Echo, Write, encoder
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.seal import MEMORY, seal
+from koordgen.runtime.net.sessions import Sessions
+from koordgen.runtime.net.wire import Closing, Echo, Write, encoder
 
 BEGINS = b"words of this mission begin so"
 COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number", "lacks")

@@ -6,13 +6,13 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.ledger import Ledger
-from koordgen.runtime.log import Log
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.program import Variable
-from koordgen.runtime.wire import Closing, View, Write
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.ledger import Ledger
+from koordgen.runtime.net.wire import Closing, View, Write
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.replication.log import Log
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.values.bounds import Fixed
 
 SHARED = (
     Variable("x", "allread", int, Fixed(9), lambda: 0),

@@ -9,8 +9,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.fixtures.fleet import STARTS, FakePlatform
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.agent import main
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.agent.process import main
+from koordgen.runtime.config.settings import Settings
 
 
 def body(settings: Settings, key: bytes | None) -> FakePlatform:

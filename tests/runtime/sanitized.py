@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.native import COMPILERS
+from koordgen.runtime.native.loader import COMPILERS
 
 COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")

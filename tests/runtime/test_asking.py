@@ -8,11 +8,11 @@ import pytest
 from msgspec.structs import replace
 
 from benchmarks.fixtures.fleet import KEY, Fleet
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.patience import FEW
-from koordgen.runtime.replica import Replica
-from koordgen.runtime.wire import Need, Round, decode
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.wire import Need, Round, decode
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.patience import FEW
+from koordgen.runtime.replication.replica import Replica
 
 Asked = dict[float, set[int]]  # by time: whom
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from koordgen.runtime.assembly import Assembly
-from koordgen.runtime.pieces import cut
-from koordgen.runtime.wire import Closing, Head, Piece, Write, encoder
+from koordgen.runtime.net.assembly import Assembly
+from koordgen.runtime.net.pieces import cut
+from koordgen.runtime.net.wire import Closing, Head, Piece, Write, encoder
 
 HEAD = Head(0, bytes(8), bytes(8), 0, bytes(8), bytes(8), 1, 1, None, ())
 

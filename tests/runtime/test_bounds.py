@@ -7,12 +7,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.bounds import Blob, Bound, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text, fits
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.program import Variable
-from koordgen.runtime.values import Grid, Opaque, Point, Scan
-from koordgen.runtime.wire import Closing, Write
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.wire import Closing, Write
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.values.bounds import Blob, Bound, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text, fits
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Scan
 
 INT, POINT = Fixed(9), Fixed(28)
 

@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.bounds import Fixed, Many
-from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.program import Cell, Event, Frame, Port, Program, Slots
+from koordgen.runtime.values.bounds import Fixed, Many
+from koordgen.runtime.values.points import Point
 
 Answer = Callable[[tuple[Any, ...]], Any]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.views import Word, choose
-from koordgen.runtime.wire import View
+from koordgen.runtime.net.wire import View
+from koordgen.runtime.replication.views import Word, choose
 
 ALL = View(0, 1, (0, 0, 0, 0, 0))
 

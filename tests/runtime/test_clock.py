@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.fleet_clock import DRIFT, SLEW, WANDER, FleetClock
+from koordgen.runtime.net.fleet_clock import DRIFT, SLEW, WANDER, FleetClock
+from koordgen.runtime.values.clock import SimulatedClock
 
 
 def talk(

@@ -9,8 +9,8 @@ from random import Random
 
 import pytest
 
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.fleet_clock import CRYSTAL, SLEW, FleetClock
+from koordgen.runtime.net.fleet_clock import CRYSTAL, SLEW, FleetClock
+from koordgen.runtime.values.clock import SimulatedClock
 
 Delay = Callable[[Random, int, int], float]  # of a datagram from one robot to another
 

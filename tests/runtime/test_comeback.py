@@ -6,10 +6,10 @@ from random import Random
 
 import msgspec
 
-from koordgen.runtime.comeback import BURST, KEPT, PATIENCE, Comeback, Store
-from koordgen.runtime.pieces import cut
-from koordgen.runtime.views import Out
-from koordgen.runtime.wire import Head, State, StatePiece, View, Want
+from koordgen.runtime.net.pieces import cut
+from koordgen.runtime.net.wire import Head, State, StatePiece, View, Want
+from koordgen.runtime.replication.comeback import BURST, KEPT, PATIENCE, Comeback, Store
+from koordgen.runtime.replication.views import Out
 
 VIEW = View(4, 30, (0, 2, 4))
 CLEO = 2

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime import containers as c
-from koordgen.runtime.containers import Missing, OutOfRange
-from koordgen.runtime.program import Slots
+from koordgen.runtime.program.program import Slots
+from koordgen.runtime.values import containers as c
+from koordgen.runtime.values.containers import Missing, OutOfRange
 
 XS = (3, 1, 4, 1)
 

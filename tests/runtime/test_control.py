@@ -13,9 +13,12 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, settings
 from koordgen.estop import Stopping
-from koordgen.runtime.control import LINGER, MOST_AT_ONCE, Control
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.orders import (
+from koordgen.runtime.config.settings import Peer, Settings
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.seal import CONTROL, MEMORY, seal
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.control import LINGER, MOST_AT_ONCE, Control
+from koordgen.runtime.ops.orders import (
     CHALLENGE_LIFE,
     LONG,
     SHORT,
@@ -29,10 +32,7 @@ from koordgen.runtime.orders import (
     decode,
     encode,
 )
-from koordgen.runtime.seal import CONTROL, MEMORY, seal
-from koordgen.runtime.settings import Peer, Settings
-from koordgen.runtime.status import Asking, ask, show
-from koordgen.runtime.transport import CannotOpen
+from koordgen.runtime.ops.status import Asking, ask, show
 
 NONCE = b"nonce-01"
 OTHER = bytes(32)
@@ -380,8 +380,8 @@ def test_a_host_without_address_is_named() -> None:
 
 
 def test_nobody_answers_where_nobody_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("koordgen.runtime.status.TIMEOUT", 0.05)
-    monkeypatch.setattr("koordgen.runtime.status.REPEAT", 0.01)
+    monkeypatch.setattr("koordgen.runtime.ops.status.TIMEOUT", 0.05)
+    monkeypatch.setattr("koordgen.runtime.ops.status.REPEAT", 0.01)
     assert ask(at_free_port(), KEY) is None
 
 

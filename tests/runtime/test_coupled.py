@@ -11,16 +11,16 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import udp
-from koordgen.runtime.clock import Clock, SimulatedClock, SystemClock
-from koordgen.runtime.courier import GROUP
-from koordgen.runtime.gate import NOT_POSSIBLE, NOT_STAMPED, Gate
-from koordgen.runtime.ledger import Ledger
-from koordgen.runtime.link import Link
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.speech import RESTAMP, microseconds
-from koordgen.runtime.transport import Coupled
-from koordgen.runtime.wire import Decided, Round, View, decode
+from koordgen.runtime.net import udp
+from koordgen.runtime.net.courier import GROUP
+from koordgen.runtime.net.gate import NOT_POSSIBLE, NOT_STAMPED, Gate
+from koordgen.runtime.net.ledger import Ledger
+from koordgen.runtime.net.link import Link
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.speech import RESTAMP, microseconds
+from koordgen.runtime.net.transport import Coupled
+from koordgen.runtime.net.wire import Decided, Round, View, decode
+from koordgen.runtime.values.clock import Clock, SimulatedClock, SystemClock
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, Exchange, N, needs_gate
 from tests.runtime.test_voice import WORD, closing_of, ledger_of
 from tests.runtime.transports import Opened, needs_courier

@@ -18,11 +18,11 @@ from types import FrameType
 
 import pytest
 
-from koordgen.runtime import courier
-from koordgen.runtime.courier import GROUP, MOST_AT_ONCE, CompiledInbox
-from koordgen.runtime.inbox import Inbox, PlainInbox
-from koordgen.runtime.seal import MEMORY, unseal_all
-from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Head, Piece, decode, encode, opened
+from koordgen.runtime.net import courier
+from koordgen.runtime.net.courier import GROUP, MOST_AT_ONCE, CompiledInbox
+from koordgen.runtime.net.inbox import Inbox, PlainInbox
+from koordgen.runtime.net.seal import MEMORY, unseal_all
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, Head, Piece, decode, encode, opened
 from tests.runtime import sanitized
 from tests.runtime.sanitized import needs_compiler
 from tests.runtime.transports import BODIES, PATIENCE, needs_courier

@@ -11,11 +11,11 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.program import Event
-from koordgen.runtime.store import Acceptor, Locals
-from koordgen.runtime.values import Point
-from koordgen.runtime.wire import Round, decode
+from koordgen.runtime.agent.store import Acceptor, Locals
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.wire import Round, decode
+from koordgen.runtime.program.program import Event
+from koordgen.runtime.values.points import Point
 from tests.runtime.test_restarts import SOON, kill
 
 

@@ -16,12 +16,14 @@ import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import agent, courier, doctor, gate
-from koordgen.runtime.doctor import examine, is_loopback, unknown
-from koordgen.runtime.layout import TooLarge
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.settings import BadSettings, Peer, Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.agent import process as agent
+from koordgen.runtime.config.settings import BadSettings, Peer, Settings
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.layout import TooLarge
+from koordgen.runtime.ops import doctor
+from koordgen.runtime.ops.doctor import examine, is_loopback, unknown
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Unready
 from tests.runtime.robot_main import body
 from tests.runtime.test_process import bundles, change
 

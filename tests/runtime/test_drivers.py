@@ -10,11 +10,11 @@ import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.drivers import Driven, with_drivers
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.program import Cell, Event, Frame, Port, Program
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.program import Cell, Event, Frame, Port, Program
+from koordgen.runtime.values.bounds import Fixed
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.drivers import Driven, with_drivers
+from koordgen.runtime.vehicle.platform import Finding, Unready
 
 
 class Heating(State):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet, Robot
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.settings import Safety
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net.network import Conditions
 
 
 def resting(robot: Robot) -> bool:

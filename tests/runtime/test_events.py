@@ -14,12 +14,12 @@ import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State, effect
-from koordgen.runtime.clock import SystemClock
-from koordgen.runtime.machine import WRONG_PROGRAM
-from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Event, Program, Stopped, no_ports, wrong_first_value
-from koordgen.runtime.runner import Interrupting, Overrun, Runner
-from koordgen.runtime.values import Point
+from koordgen.runtime.agent.machine import WRONG_PROGRAM
+from koordgen.runtime.program.program import Event, Program, Stopped, no_ports, wrong_first_value
+from koordgen.runtime.program.runner import Interrupting, Overrun, Runner
+from koordgen.runtime.values.clock import SystemClock
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Sensed
 from tests.emit.generated import load
 from tests.runtime.reference import check_visibility
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.datagrams import DATAGRAMS_A_POLL, UdpLink, waiting
-from koordgen.runtime.feed import DRIFT, FARTHEST, OVERTAKEN, Feed, Sample, Transit, encode
-from koordgen.runtime.seal import POSITION, SCAN, seal
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.net.seal import POSITION, SCAN, seal
+from koordgen.runtime.values.points import Point, Pose
+from koordgen.runtime.vehicle.datagrams import DATAGRAMS_A_POLL, UdpLink, waiting
+from koordgen.runtime.vehicle.feed import DRIFT, FARTHEST, OVERTAKEN, Feed, Sample, Transit, encode
 
 KEY = bytes(range(32))
 POSE = Pose(Point(1.0, -2.0, 0.5), 0.7)
@@ -139,7 +139,7 @@ def test_a_base_station_that_is_refused_for_its_session_is_told_of_once() -> Non
 def test_arrivals_on_a_socket_are_stamped_by_an_even_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """The agent's clock is slewed by NTP: a sample that came at once is new all the same."""
     even = 500.0
-    monkeypatch.setattr("koordgen.runtime.datagrams.raw_clock", lambda: even)
+    monkeypatch.setattr("koordgen.runtime.vehicle.datagrams.raw_clock", lambda: even)
     link = UdpLink("127.0.0.1", 0)
     try:
         feed = Feed("bert", KEY)

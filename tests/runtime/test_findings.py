@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.findings import row, status, tell, tell_shortly, tell_unloadable
-from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.ops.findings import row, status, tell, tell_shortly, tell_unloadable
+from koordgen.runtime.vehicle.platform import Finding, Unready
 
 OK = Finding("link", "ok", "autopilot on udpin:0.0.0.0:14550, system 1")
 WARN = Finding("streams", "warn", "GLOBAL_POSITION_INT 7 of 20 Hz", "what was asked for", "raise the link's baud rate")

@@ -11,11 +11,11 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime import courier, gate
-from koordgen.runtime.courier import MOST_AT_ONCE
-from koordgen.runtime.native import NotCompiled, load
-from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
-from koordgen.runtime.wire import (
+from koordgen.runtime.native.loader import NotCompiled, load
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal
+from koordgen.runtime.net.wire import (
     LIMIT,
     MAX_ECHOES,
     Closing,

@@ -13,11 +13,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime import wire
-from koordgen.runtime.metrics import RECENT
-from koordgen.runtime.seal import MEMORY, seal
-from koordgen.runtime.sessions import REPLAY_WINDOW, WORDS
-from koordgen.runtime.wire import (
+from koordgen.runtime.net import wire
+from koordgen.runtime.net.metrics import RECENT
+from koordgen.runtime.net.seal import MEMORY, seal
+from koordgen.runtime.net.sessions import REPLAY_WINDOW, WORDS
+from koordgen.runtime.net.wire import (
     LIMIT,
     MAX_ECHOES,
     Accept,

@@ -11,10 +11,10 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import gate
-from koordgen.runtime.gate import Gate
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.program import Program
+from koordgen.runtime.net import gate
+from koordgen.runtime.net.gate import Gate
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.program.program import Program
 from tests.runtime.gates import needs_gate
 from tests.runtime.test_transactions import COUNTER
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import pytest
 
-from koordgen.runtime.geometry import LIMIT, clear, path_distance, segment_distance
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values.geometry import LIMIT, clear, path_distance, segment_distance
+from koordgen.runtime.values.points import Point, distance
 
 Whole = tuple[int, int, int]
 Pair = tuple[Point, Point, Point, Point]

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 import pytest
 from msgspec.structs import replace
 
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.settings import Network
+from koordgen.runtime.config.settings import Network
+from koordgen.runtime.ops.opening import open_transport
 from tests.runtime.test_udp import UNICAST, groups
 from tests.runtime.transports import BODIES, free_ports, settings
 

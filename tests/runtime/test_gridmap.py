@@ -9,8 +9,8 @@ from itertools import permutations, product
 import msgspec
 import pytest
 
-from koordgen.runtime import gridmap
-from koordgen.runtime.gridmap import (
+from koordgen.runtime.values import gridmap
+from koordgen.runtime.values.gridmap import (
     MAX_CELLS,
     GridMap,
     area,
@@ -24,7 +24,7 @@ from koordgen.runtime.gridmap import (
     merge,
     sound,
 )
-from koordgen.runtime.values import INT_MAX, INT_MIN, Grid, Point
+from koordgen.runtime.values.points import INT_MAX, INT_MIN, Grid, Point
 
 SIZE = 0.25
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # ascending as the join goes

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime import host
-from koordgen.runtime.platform import Finding
+from koordgen.runtime.ops import host
+from koordgen.runtime.vehicle.platform import Finding
 
 
 @pytest.mark.parametrize(("bits", "cores", "state"), [(4, 4, "fail"), (8, 1, "warn"), (8, 4, "ok"), (8, None, "warn")])

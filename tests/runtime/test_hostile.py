@@ -15,12 +15,9 @@ from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import KEY
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import wire
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.program import Variable
-from koordgen.runtime.seal import MEMORY, POSITION, seal, unseal
-from koordgen.runtime.values import Point
-from koordgen.runtime.wire import (
+from koordgen.runtime.net import wire
+from koordgen.runtime.net.seal import MEMORY, POSITION, seal, unseal
+from koordgen.runtime.net.wire import (
     LIMIT,
     WIRE_FORMAT,
     Accept,
@@ -38,6 +35,9 @@ from koordgen.runtime.wire import (
     Want,
     Write,
 )
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.values.bounds import Fixed
+from koordgen.runtime.values.points import Point
 from tests.runtime.wiretap import CLEO, Wiretap, snapshot
 
 TOP = 2**53

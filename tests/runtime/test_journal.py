@@ -5,12 +5,12 @@ from __future__ import annotations
 import io
 import json
 
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.fleet_clock import FleetClock
-from koordgen.runtime.journal import METRICS_EVERY, Journal
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.program import Effects
-from koordgen.runtime.trace import Record, Trace
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.ops.journal import METRICS_EVERY, Journal
+from koordgen.runtime.program.program import Effects
+from koordgen.runtime.trace.writer import Record, Trace
+from koordgen.runtime.values.clock import SimulatedClock
 
 
 def test_lines_of_an_event_are_of_its_round_not_of_the_one_in_which_it_became_certain() -> None:

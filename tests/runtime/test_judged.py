@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.courier import MOST_AT_ONCE, CompiledInbox
-from koordgen.runtime.gate import NOTED, OTHER, USUAL, Judged
-from koordgen.runtime.ledger import APPLIED, LACKING, LAST, OPEN, REACHED, SETTLED, WATCHED
-from koordgen.runtime.wire import Echo, encoder
+from koordgen.runtime.net.courier import MOST_AT_ONCE, CompiledInbox
+from koordgen.runtime.net.gate import NOTED, OTHER, USUAL, Judged
+from koordgen.runtime.net.ledger import APPLIED, LACKING, LAST, OPEN, REACHED, SETTLED, WATCHED
+from koordgen.runtime.net.wire import Echo, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table
 from tests.runtime.test_courier import inbox

@@ -12,14 +12,14 @@ from msgspec import Raw
 
 from benchmarks.fixtures.fleet import KEY, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import wire
-from koordgen.runtime.bounds import Cells
-from koordgen.runtime.gridmap import OCCUPIED, GridMap, area, is_occupied, mark_occupied
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.program import Event, Frame, Transaction, Variable
-from koordgen.runtime.settings import Safety
-from koordgen.runtime.values import Grid, Point
-from koordgen.runtime.wire import LIMIT, Closing, Round, Write
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net import wire
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.wire import LIMIT, Closing, Round, Write
+from koordgen.runtime.program.program import Event, Frame, Transaction, Variable
+from koordgen.runtime.values.bounds import Cells
+from koordgen.runtime.values.gridmap import OCCUPIED, GridMap, area, is_occupied, mark_occupied
+from koordgen.runtime.values.points import Grid, Point
 
 WIDTH, HEIGHT, N = 160, 140, 8
 MARKS = 4  # cells that each robot marks in the map of all

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.bounds import Bound, Cells, Distinct, Fixed, Many, Text
-from koordgen.runtime.gridmap import GridMap, area, mark_occupied
-from koordgen.runtime.layout import MOST_CLOSING, MOST_SHARED, Layout, TooLarge, Unpatched, most_closing
-from koordgen.runtime.patch import difference
-from koordgen.runtime.program import Variable
-from koordgen.runtime.values import Grid, Point
-from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write, encoder, overhead
+from koordgen.runtime.net.layout import MOST_CLOSING, MOST_SHARED, Layout, TooLarge, Unpatched, most_closing
+from koordgen.runtime.net.patch import difference
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write, encoder, overhead
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.values.bounds import Bound, Cells, Distinct, Fixed, Many, Text
+from koordgen.runtime.values.gridmap import GridMap, area, mark_occupied
+from koordgen.runtime.values.points import Grid, Point
 
 INT, NUMBER = Fixed(9), Fixed(9)
 SHARED = (

@@ -13,9 +13,9 @@ from random import Random
 import msgspec
 import pytest
 
-from koordgen.runtime import gate, ledger
-from koordgen.runtime.gate import SOURCE
-from koordgen.runtime.ledger import (
+from koordgen.runtime.net import gate, ledger
+from koordgen.runtime.net.gate import SOURCE
+from koordgen.runtime.net.ledger import (
     APPLIED,
     DEPTH,
     LACKING,
@@ -33,7 +33,7 @@ from koordgen.runtime.ledger import (
     Collected,
     Ledger,
 )
-from koordgen.runtime.wire import Closing, Echo, Write, encoder
+from koordgen.runtime.net.wire import Closing, Echo, Write, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table, single, write
 

@@ -7,8 +7,8 @@ from random import Random
 import msgspec
 import pytest
 
-from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LAST, OPEN, REACHED, SETTLED, TICK, WATCHED
-from koordgen.runtime.wire import Closing, Echo, Write, encoder
+from koordgen.runtime.net.ledger import APPLIED, DEPTH, LACKING, LAST, OPEN, REACHED, SETTLED, TICK, WATCHED
+from koordgen.runtime.net.wire import Closing, Echo, Write, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table, single
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from koordgen.runtime.wire import Echo, Head, Message, Need
+from koordgen.runtime.net.wire import Echo, Head, Message, Need
 from tests.runtime.gates import OWN, Ears, N, head, needs_gate, sealed, word
 
 pytestmark = needs_gate

@@ -10,12 +10,12 @@ from random import Random
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime import gate
-from koordgen.runtime.courier import MOST_AT_ONCE
-from koordgen.runtime.gate import FALSE, OTHER, TOO_LONG, Gate
-from koordgen.runtime.native import load
-from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
-from koordgen.runtime.wire import LIMIT
+from koordgen.runtime.native.loader import load
+from koordgen.runtime.net import gate
+from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.gate import FALSE, OTHER, TOO_LONG, Gate
+from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
+from koordgen.runtime.net.wire import LIMIT
 from tests.runtime.gates import needs_gate, opened
 
 pytestmark = needs_gate

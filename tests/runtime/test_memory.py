@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.commits import winner
-from koordgen.runtime.log import GAPS, Entry
-from koordgen.runtime.memory import AHEAD, WINDOW, Memory
-from koordgen.runtime.wire import Closing, View, Write
+from koordgen.runtime.net.wire import Closing, View, Write
+from koordgen.runtime.replication.commits import winner
+from koordgen.runtime.replication.log import GAPS, Entry
+from koordgen.runtime.replication.memory import AHEAD, WINDOW, Memory
 from tests.runtime.memories import everything, fleet, give, layout, log_of, one, said, silence, view, write
 
 

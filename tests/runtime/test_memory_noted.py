@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import pytest
 
-from koordgen.runtime import gate
-from koordgen.runtime.bounds import Text
-from koordgen.runtime.layout import PATCH_FROM, Layout
-from koordgen.runtime.link import Usuals
-from koordgen.runtime.log import Log
-from koordgen.runtime.memory import AHEAD, Memory
-from koordgen.runtime.program import Variable
-from koordgen.runtime.replica import Replica
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, View, Write
+from koordgen.runtime.net import gate
+from koordgen.runtime.net.layout import PATCH_FROM, Layout
+from koordgen.runtime.net.link import Usuals
+from koordgen.runtime.net.wire import Closing, View, Write
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.replication.log import Log
+from koordgen.runtime.replication.memory import AHEAD, Memory
+from koordgen.runtime.replication.replica import Replica
+from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.values.bounds import Text
 from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, N, head, needs_gate, sealed, word
 from tests.runtime.memories import layout, one, silence, write
 

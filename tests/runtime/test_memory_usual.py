@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.gate import Usual
-from koordgen.runtime.log import Log
-from koordgen.runtime.memory import AHEAD, RECENT, WINDOW, Memory
-from koordgen.runtime.wire import Closing, View, encoder
+from koordgen.runtime.net.gate import Usual
+from koordgen.runtime.net.wire import Closing, View, encoder
+from koordgen.runtime.replication.log import Log
+from koordgen.runtime.replication.memory import AHEAD, RECENT, WINDOW, Memory
 from tests.runtime.memories import fleet, one, silence, view, write
 
 N, OWN = 4, 0

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.comeback import Store
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.wire import Head, State, View, Want, encoder, state_of
+from koordgen.runtime.net.wire import Head, State, View, Want, encoder, state_of
+from koordgen.runtime.replication.comeback import Store
+from koordgen.runtime.replication.memory import Memory
 from tests.runtime.memories import everything, fleet, give, layout, one, silence, write
 
 HEAD = Head(0, bytes(8), bytes(8), 1, bytes(8), bytes(8), 0, 0, None, ())

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from koordgen.runtime.metrics import Histograms, Metrics
+from koordgen.runtime.net.metrics import Histograms, Metrics
 
 
 def test_quantiles_are_right_within_a_bucket() -> None:

@@ -13,16 +13,16 @@ import pytest
 from benchmarks.fixtures.fleet import settings
 from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
-from koordgen.runtime.allowance import Allowance
-from koordgen.runtime.extern import Contract
-from koordgen.runtime.monitor import LONGEST_WAIT, MOST_OVERRUNS, Monitors
-from koordgen.runtime.program import Effects, Fault, Frame
-from koordgen.runtime.property import Properties
-from koordgen.runtime.runner import Limit, Overrun, unlimited
-from koordgen.runtime.skips import LEFT
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point
-from koordgen.runtime.watched import OWN, SENSED, SHARED, Change, Moment
+from koordgen.runtime.monitor.allowance import Allowance
+from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, Monitors
+from koordgen.runtime.program.extern import Contract
+from koordgen.runtime.program.program import Effects, Fault, Frame
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import Limit, Overrun, unlimited
+from koordgen.runtime.program.skips import LEFT
+from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Change, Moment
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point
 from tests.emit.generated import checked
 
 TEXT = """\
@@ -147,7 +147,7 @@ def test_only_what_reads_something_new_is_evaluated(monkeypatch: pytest.MonkeyPa
         asked.append(holds)
         return "held", ""
 
-    monkeypatch.setattr("koordgen.runtime.monitor.judged", judge)
+    monkeypatch.setattr("koordgen.runtime.monitor.monitor.judged", judge)
     robot.look(1, x=x, position=where)
     assert len(asked) == 4
     robot.look(2, x=x, position=where)
@@ -270,7 +270,7 @@ def test_what_takes_too_long_is_given_up(monkeypatch: pytest.MonkeyPatch) -> Non
         assert seconds == pytest.approx(0.01)
         return nullcontext()
 
-    monkeypatch.setattr("koordgen.runtime.monitor.judged", judge)
+    monkeypatch.setattr("koordgen.runtime.monitor.monitor.judged", judge)
     robot = Robot(limit)
     for round_ in range(1, MOST_OVERRUNS + 3):
         robot.look(round_)
@@ -289,7 +289,7 @@ def test_only_so_much_of_the_processors_time_is_taken(monkeypatch: pytest.Monkey
         now[0] += 5e-6
         return "held", ""
 
-    monkeypatch.setattr("koordgen.runtime.monitor.judged", judge)
+    monkeypatch.setattr("koordgen.runtime.monitor.monitor.judged", judge)
 
     robot = Robot(cpu=cpu, Low="hold")
     evaluated = 0

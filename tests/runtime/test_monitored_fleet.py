@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
-from koordgen.runtime.machine import VIOLATED
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.values import Point
+from koordgen.runtime.agent.machine import VIOLATED
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.points import Point
 from tests.runtime.test_monitor import generated
 
 # Robot 1 goes out of its yard and back, as robot 0 says.
@@ -129,7 +129,7 @@ def test_what_raises_is_told_and_brings_nobody_down(monkeypatch: pytest.MonkeyPa
 
     fleet = started()
     fleet.run_rounds(5)
-    monkeypatch.setattr("koordgen.runtime.monitor.Monitors._put", broken)
+    monkeypatch.setattr("koordgen.runtime.monitor.monitor.Monitors._put", broken)
     fleet.run_rounds(10)
     lines = [line for line in fleet.robots[0].lines if "a monitor failed and is off: RuntimeError: a mistake" in line]
     assert len(lines) == 1 and fleet.robots[0].agent.phase == "running"

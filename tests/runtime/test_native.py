@@ -18,8 +18,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime import native
-from koordgen.runtime.native import NotCompiled, cache_folder, load
+from koordgen.runtime.native import loader as native
+from koordgen.runtime.native.loader import NotCompiled, cache_folder, load
 
 FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-lm")
 CODE = "#include <math.h>\nint answer(int of) { return (int) sqrt(of); }\n"

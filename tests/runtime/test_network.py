@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.network import Conditions, MemoryNetwork
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.values.clock import SimulatedClock
 
 
 def arrivals(seed: int) -> list[tuple[float, int, bytes]]:

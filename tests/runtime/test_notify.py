@@ -15,8 +15,8 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.fleet import NAMES, settings
-from koordgen.runtime.notify import Notifier
-from koordgen.runtime.settings import Peer
+from koordgen.runtime.config.settings import Peer
+from koordgen.runtime.ops.notify import Notifier
 from tests.runtime.transports import free_ports
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))

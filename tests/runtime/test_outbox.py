@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.outbox import MOST_WAITING, Outbox, has_outputs
-from koordgen.runtime.program import Effects, Life
-from koordgen.runtime.trace import Record
+from koordgen.runtime.agent.outbox import MOST_WAITING, Outbox, has_outputs
+from koordgen.runtime.program.program import Effects, Life
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.trace.writer import Record
 
 
 @dataclass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.ledger import Collected
-from koordgen.runtime.outcome import FORGET_EVERY, Past, all_alike
-from koordgen.runtime.program import Variable
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.ledger import Collected
+from koordgen.runtime.program.program import Variable
+from koordgen.runtime.replication.outcome import FORGET_EVERY, Past, all_alike
+from koordgen.runtime.values.bounds import Fixed
 
 
 def past(count: int, stable: int) -> Past:

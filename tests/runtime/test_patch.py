@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.gridmap import GridMap, area, mark_occupied, merge
-from koordgen.runtime.patch import WORTH, difference, patched
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.net.patch import WORTH, difference, patched
+from koordgen.runtime.values.gridmap import GridMap, area, mark_occupied, merge
+from koordgen.runtime.values.points import Grid, Point
 
 encode = msgspec.msgpack.encode
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.patience import ASKERS, FEW, LOSSY, SMALL, Patience, many
+from koordgen.runtime.replication.patience import ASKERS, FEW, LOSSY, SMALL, Patience, many
 
 Slots = list[tuple[int, bool]]  # round, timely
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.pieces import Gathering, cut, digest, lacking
-from koordgen.runtime.wire import LIMIT, MOST_PIECES
+from koordgen.runtime.net.pieces import Gathering, cut, digest, lacking
+from koordgen.runtime.net.wire import LIMIT, MOST_PIECES
 
 
 @given(st.binary(min_size=1, max_size=400), st.integers(2, 50), st.randoms(use_true_random=False))

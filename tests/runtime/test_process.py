@@ -21,10 +21,11 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES, FakePlatform, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import agent, courier, gate
-from koordgen.runtime.platform import Finding
-from koordgen.runtime.settings import Peer
-from koordgen.runtime.transport import CannotOpen
+from koordgen.runtime.agent import process as agent
+from koordgen.runtime.config.settings import Peer
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.vehicle.platform import Finding
 from tests.runtime.robot_main import body
 from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, needs_zenoh
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.platform import Vitals
-from koordgen.runtime.program import Effects, Fault
-from koordgen.runtime.recent import LINES_BYTES, LONGEST_VALUE, MOST_POINTS, VALUES_BYTES, Recent, goal
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.ops.recent import LINES_BYTES, LONGEST_VALUE, MOST_POINTS, VALUES_BYTES, Recent, goal
+from koordgen.runtime.program.program import Effects, Fault
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Vitals
 
 
 def effects(**shared: Any) -> Effects:

@@ -12,9 +12,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES, Fleet, Kept, Robot
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.settings import Safety
-from koordgen.runtime.store import KEPT, Acceptor, Keeper, Locals, Mission, Store
+from koordgen.runtime.agent.store import KEPT, Acceptor, Keeper, Locals, Mission, Store
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net.network import Conditions
 from tests.runtime.reference import check_visibility
 from tests.runtime.test_transactions import COUNTER, OFTEN
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import STARTS, FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.platform import Unready
-from koordgen.runtime.program import Event
-from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.settings import Box, Safety
-from koordgen.runtime.trace import Trace
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.config.settings import Box, Safety
+from koordgen.runtime.program.program import Event
+from koordgen.runtime.trace.writer import Trace
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.safety import clamp, inside
 
 _metre = st.floats(-100, 100)
 _point = st.builds(Point, _metre, _metre, _metre)

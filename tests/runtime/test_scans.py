@@ -12,10 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.platform import Finding, Unready
-from koordgen.runtime.scans import MOST_RAYS, MOST_SCANS, PATIENCE, WINDOW, ScanPort, Scans, Sweep, encode, packed
-from koordgen.runtime.seal import POSITION, SCAN, seal
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.net.seal import POSITION, SCAN, seal
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.scans import (
+    MOST_RAYS,
+    MOST_SCANS,
+    PATIENCE,
+    WINDOW,
+    ScanPort,
+    Scans,
+    Sweep,
+    encode,
+    packed,
+)
 
 KEY = bytes(range(32))
 PLACE = Point(1.0, -2.0, 0.07)

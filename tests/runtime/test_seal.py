@@ -7,7 +7,7 @@ from hashlib import blake2s
 
 import pytest
 
-from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal, unseal, unseal_all
+from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal, unseal, unseal_all
 
 KEYS = [bytes(range(32)), bytes(32), None]
 

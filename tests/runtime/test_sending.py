@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from koordgen.runtime import courier
-from koordgen.runtime.courier import GROUP, CompiledInbox, as_written
-from koordgen.runtime.inbox import Inbox, PlainInbox
+from koordgen.runtime.net import courier
+from koordgen.runtime.net.courier import GROUP, CompiledInbox, as_written
+from koordgen.runtime.net.inbox import Inbox, PlainInbox
 from tests.runtime.test_courier import inbox
 from tests.runtime.transports import BODIES, LINK_LOCAL, PATIENCE, needs_ipv6
 

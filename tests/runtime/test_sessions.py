@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.sessions import REPLAY_WINDOW, Sessions
+from koordgen.runtime.net.sessions import REPLAY_WINDOW, Sessions
 
 NUMBERS = st.lists(st.integers(0, 3000) | st.integers(10_000, 10_100) | st.integers(2**52, 2**53), max_size=300)
 

@@ -11,8 +11,8 @@ import pytest
 
 from benchmarks.fixtures.fleet import settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import agent
-from koordgen.runtime.settings import BadSettings, load
+from koordgen.runtime.agent import process as agent
+from koordgen.runtime.config.settings import BadSettings, load
 from tests.fleet.test_fleet import EXAMPLE, read
 
 # Where a number stands in the settings and in the fleet file, and values at and beyond its bounds.

@@ -8,13 +8,13 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime import rounds
-from koordgen.runtime.ledger import DEPTH
-from koordgen.runtime.memory import WINDOW
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.outbox import MOST_WAITING
-from koordgen.runtime.program import Event
-from koordgen.runtime.settings import Safety
+from koordgen.runtime.agent import rounds
+from koordgen.runtime.agent.outbox import MOST_WAITING
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net.ledger import DEPTH
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.program.program import Event
+from koordgen.runtime.replication.memory import WINDOW
 from tests.runtime.reference import check_visibility, stores
 
 

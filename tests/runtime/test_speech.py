@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime import wire
-from koordgen.runtime.speech import ECHOES_A_LESSON, MOST_DATAGRAMS, MOST_PIECES_AT_ONCE, OTHERS_EVERY
-from koordgen.runtime.wire import LIMIT, Closing, Piece, Round, encoder
+from koordgen.runtime.net import wire
+from koordgen.runtime.net.speech import ECHOES_A_LESSON, MOST_DATAGRAMS, MOST_PIECES_AT_ONCE, OTHERS_EVERY
+from koordgen.runtime.net.wire import LIMIT, Closing, Piece, Round, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.test_voice import WORD, Mouth, closing_of
 

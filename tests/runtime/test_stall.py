@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.stall import AGAIN, CLEAR, GRACE, Stalls
+from koordgen.runtime.vehicle.stall import AGAIN, CLEAR, GRACE, Stalls
 
 STEP = 0.05
 

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.bounds import Blob, Fixed, Many, Text
-from koordgen.runtime.program import Program, Variable
-from koordgen.runtime.store import KEPT, Acceptor, Loaded, Locals, LocalsCodec, Mission, Store
-from koordgen.runtime.transport import CannotOpen
-from koordgen.runtime.values import Opaque, Point
+from koordgen.runtime.agent.store import KEPT, Acceptor, Loaded, Locals, LocalsCodec, Mission, Store
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.program.program import Program, Variable
+from koordgen.runtime.values.bounds import Blob, Fixed, Many, Text
+from koordgen.runtime.values.points import Opaque, Point
 from tests.disk import small_disk
 
 MISSION = Mission(b"epoch---", 123_456_789, b"closing of round 0")
@@ -247,7 +247,7 @@ def test_damaged_votes_of_no_mission_are_not_worth_a_word(kept: Kept) -> None:
 
 def test_kill_9_loses_nothing_that_was_written(kept: Kept) -> None:
     code = (
-        "import sys; from pathlib import Path; from koordgen.runtime.store import *; "
+        "import sys; from pathlib import Path; from koordgen.runtime.agent.store import *; "
         "from benchmarks.fixtures.lineform import PROGRAM\n"
         "store = Store.open(Path(sys.argv[1]), PROGRAM, 'alice', 0, 3, print)\n"
         "for r in range(1, 10**9):\n"

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.joining import PERIOD
+from koordgen.runtime.agent.joining import PERIOD
 
 
 def test_a_recorded_hello_of_an_earlier_boot_never_passes_for_live() -> None:

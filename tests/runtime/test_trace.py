@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet, Robot
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from tests.runtime.test_restarts import ENDLESS, SOON, kill
 
 

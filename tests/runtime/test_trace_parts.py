@@ -17,11 +17,11 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import doctor
-from koordgen.runtime.agent import _open_trace
-from koordgen.runtime.settings import BadSettings, load
-from koordgen.runtime.trace import Trace
-from koordgen.runtime.trace_parts import Parts
+from koordgen.runtime.agent.process import _open_trace
+from koordgen.runtime.config.settings import BadSettings, load
+from koordgen.runtime.ops import doctor
+from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.writer import Trace
 from tests.disk import small_disk
 from tests.runtime.test_settings import written
 
@@ -117,7 +117,7 @@ def fleet_name(pid: int) -> str:
 KILLED = """
 import os, sys
 from pathlib import Path
-from koordgen.runtime import trace_parts
+from koordgen.runtime.trace import parts as trace_parts
 from tests.runtime.test_trace_parts import begun
 left = int(sys.argv[2])
 def die(event, args):

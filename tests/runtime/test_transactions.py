@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.commits import winner
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.program import Event, Program, Stopped
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.program.program import Event, Program, Stopped
+from koordgen.runtime.replication.commits import winner
 
 OFTEN = 12  # times that each robot counts
 

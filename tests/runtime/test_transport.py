@@ -9,8 +9,8 @@ from functools import partial
 
 import pytest
 
-from koordgen.runtime.courier import MOST_AT_ONCE
-from koordgen.runtime.wire import LIMIT
+from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.wire import LIMIT
 from tests.runtime import transports
 from tests.runtime.transports import Opened
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import pytest
 
 from koordgen.emit.program import program_text
-from koordgen.runtime import turns
-from koordgen.runtime.program import Fault, Frame, Program, enabled, no_ports, run
-from koordgen.runtime.runner import Interrupting, Overrun
-from koordgen.runtime.turns import TooMuch, begin, made, minus, plus, product, turn
+from koordgen.runtime.program.program import Fault, Frame, Program, enabled, no_ports, run
+from koordgen.runtime.program.runner import Interrupting, Overrun
+from koordgen.runtime.values import turns
+from koordgen.runtime.values.turns import TooMuch, begin, made, minus, plus, product, turn
 from tests.emit.generated import _module
 from tests.semantics.programs import compiled
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime import udp
-from koordgen.runtime.courier import GROUP
-from koordgen.runtime.inbox import PlainInbox
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.settings import Network, Peer
-from koordgen.runtime.transport import CannotOpen, Transport
+from koordgen.runtime.config.settings import Network, Peer
+from koordgen.runtime.net import udp
+from koordgen.runtime.net.courier import GROUP
+from koordgen.runtime.net.inbox import PlainInbox
+from koordgen.runtime.net.transport import CannotOpen, Transport
+from koordgen.runtime.ops.opening import open_transport
 from tests.runtime.transports import BODIES, BROADCAST, LINK_LOCAL, MULTICAST, free_ports, needs_ipv6, opened, settings
 
 UNICAST = Network()

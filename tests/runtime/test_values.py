@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.gridmap import GridMap, area
-from koordgen.runtime.values import (
+from koordgen.runtime.values.gridmap import GridMap, area
+from koordgen.runtime.values.points import (
     INT_MAX,
     INT_MIN,
     Grid,

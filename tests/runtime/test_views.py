@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.views import Ballots, Out, Views, Vote, Word, fits, majority, promised, voted
-from koordgen.runtime.wire import Accept, Accepted, Decided, Head, Prepare, Promise, View
+from koordgen.runtime.net.wire import Accept, Accepted, Decided, Head, Prepare, Promise, View
+from koordgen.runtime.replication.views import Ballots, Out, Views, Vote, Word, fits, majority, promised, voted
 
 FIRST = View(0, 1, (0, 0, 0))
 NEXT = View(1, 11, (0, 0, -1))

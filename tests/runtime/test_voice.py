@@ -14,19 +14,18 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, Fleet, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import gate, speech, wire
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.fleet_clock import FleetClock
-from koordgen.runtime.gate import Fields, Gate, Said
-from koordgen.runtime.ledger import APPLIED as APPLIED_TO
-from koordgen.runtime.ledger import DEPTH, OPEN, SETTLED, Ledger
-from koordgen.runtime.link import Link
-from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.seal import MEMORY, seal
-from koordgen.runtime.sessions import Sessions
-from koordgen.runtime.speech import ECHOES_A_LESSON, OTHERS, OTHERS_EVERY, others_every
-from koordgen.runtime.wire import (
+from koordgen.runtime.net import gate, speech, wire
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.gate import Fields, Gate, Said
+from koordgen.runtime.net.ledger import APPLIED as APPLIED_TO
+from koordgen.runtime.net.ledger import DEPTH, OPEN, SETTLED, Ledger
+from koordgen.runtime.net.link import Link
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.seal import MEMORY, seal
+from koordgen.runtime.net.sessions import Sessions
+from koordgen.runtime.net.speech import ECHOES_A_LESSON, OTHERS, OTHERS_EVERY, others_every
+from koordgen.runtime.net.wire import (
     LIMIT,
     MAX_ECHOES,
     MAX_ROBOTS,
@@ -38,6 +37,7 @@ from koordgen.runtime.wire import (
     Write,
     encoder,
 )
+from koordgen.runtime.values.clock import SimulatedClock
 from tests.runtime import sanitized
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, N, head, needs_gate
 from tests.runtime.sanitized import needs_compiler

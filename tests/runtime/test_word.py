@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import pytest
 
 from benchmarks.fixtures.fleet import KEY, Fleet, Kept, Robot
-from koordgen.runtime.ledger import LAST, TICK
-from koordgen.runtime.memory import AHEAD
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.replica import SLOTS
-from koordgen.runtime.wire import Need, Round, decode
+from koordgen.runtime.net.ledger import LAST, TICK
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.wire import Need, Round, decode
+from koordgen.runtime.replication.memory import AHEAD
+from koordgen.runtime.replication.replica import SLOTS
 
 LOSSES = pytest.mark.parametrize("loss", [0.0, 0.3])
 

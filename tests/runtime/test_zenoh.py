@@ -8,15 +8,15 @@ from contextlib import ExitStack
 
 import pytest
 
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.settings import Network
-from koordgen.runtime.transport import CannotOpen
+from koordgen.runtime.config.settings import Network
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.opening import open_transport
 from tests.runtime.transports import Opened, free_ports, meet, needs_zenoh, opened, settings
 
 
 def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
-    monkeypatch.delitem(sys.modules, "koordgen.runtime.zenoh_transport", raising=False)
+    monkeypatch.delitem(sys.modules, "koordgen.runtime.net.zenoh_transport", raising=False)
     with pytest.raises(CannotOpen, match=r"robot r0: transport zenoh needs a package .* pip install 'eclipse-zenoh"):
         open_transport(settings(0, free_ports(2), Network(transport="zenoh")))
 

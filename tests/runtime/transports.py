@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime import courier
-from koordgen.runtime.clock import SimulatedClock
-from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.opening import open_transport
-from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
-from koordgen.runtime.transport import Transport
+from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.net import courier
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.values.clock import SimulatedClock
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None
 NO_COURIER = courier.COMPILED.why()

@@ -9,12 +9,12 @@ import msgspec
 
 from benchmarks.fixtures.fleet import KEY, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime import wire
-from koordgen.runtime.ledger import DEPTH, LAST, TICK, Ledger
-from koordgen.runtime.log import Log
-from koordgen.runtime.program import Program
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Message, Round, encoder
+from koordgen.runtime.net import wire
+from koordgen.runtime.net.ledger import DEPTH, LAST, TICK, Ledger
+from koordgen.runtime.net.wire import Message, Round, encoder
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.replication.log import Log
+from koordgen.runtime.replication.views import Vote
 
 CLEO = 2
 NOTED = (

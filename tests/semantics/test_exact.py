@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from koordgen.prove.model import made_state
-from koordgen.runtime import geometry
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import geometry
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.exact import NotExact, Root, distance, exact, made_exact, path_distance, root
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.step import execute, initial

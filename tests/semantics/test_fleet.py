@@ -7,7 +7,7 @@ import pytest
 from koordgen.ir import decl, expr
 from koordgen.ir.decl import Program
 from koordgen.ir.types import BOOL, POINT, list_of
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import Asked, holds_assumption, holds_property

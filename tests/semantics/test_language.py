@@ -8,7 +8,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, expr, stmt
 from koordgen.ir.types import INT, list_of
 from koordgen.node import replace
-from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.values.points import Grid, Point
 from koordgen.semantics import exec
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, exact

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.state import State

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.cli import main
-from koordgen.runtime.native import cache_folder
+from koordgen.runtime.native.loader import cache_folder
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.lockstep.run import Lockstep

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from koordgen.runtime.property import UNKNOWN, Properties, judged
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.property import UNKNOWN, Properties, judged
+from koordgen.runtime.values.points import Point
 from targets.sim import watch
 from targets.sim.batch import Batch
 from tests.sim.fake_fleet import beside

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.sim import quadrotor
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.car import SimulatedCar

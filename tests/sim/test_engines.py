@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim import contacts, quadrotor
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.car import SimulatedCar

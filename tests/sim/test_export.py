@@ -19,8 +19,8 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from koordgen.cli import main
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim import trace
 from targets.sim.folder import MARKER, Foreign, RunFolder
 from targets.sim.scenario import Box, Marker, MarkerList, Shared, World

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.obstacles import Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.obstacles import Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.faults import Faults, check_obstacles, check_times, load, with_network
 from targets.sim.medium import Medium
 from targets.sim.scenario import BadScenario, Wind

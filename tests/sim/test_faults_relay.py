@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from koordgen.runtime.network import OVERTAKEN, Conditions
+from koordgen.runtime.net.network import OVERTAKEN, Conditions
 from targets.sim.medium import Medium, medium, parted
 from targets.sim.relay import LOOPBACK, MOST_WAITING, Relay, Router
 from targets.sim.schedule import Link, Schedule

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from targets.sim.scenario import Wind
 from targets.sim.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
 from targets.sim.upset import Positioning

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from koordgen.runtime.feed import Feed
+from koordgen.runtime.vehicle.feed import Feed
 from targets.car import vesc
 from targets.car.settings import CarSettings
 from targets.sim.bodies import BodyState, Vector

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.sim import folder, harness, run, trace
 from targets.sim.scenario import load
 from targets.sim.stage import Stage

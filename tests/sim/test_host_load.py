@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.runner import LATE
+from koordgen.runtime.program.runner import LATE
 from targets.sim import harness, host_load
 from targets.sim.host_load import SIMULATOR, HostLoad, waited
 from targets.sim.trace import End, Mark, Round, Violation

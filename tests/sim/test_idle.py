@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.fleet import NAMES
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.sim.idle import Idle, same
 from tests.sim.watched import Watched
 

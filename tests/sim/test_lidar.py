@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.scans import Scans
-from koordgen.runtime.settings import Box, Origin, Peer, Settings
-from koordgen.runtime.values import Point, Scan
+from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point, Scan
+from koordgen.runtime.vehicle.scans import Scans
 from targets.car.platform import Car
 from targets.planning.process import Inside
 from targets.sim import scenario

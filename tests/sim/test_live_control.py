@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.obstacles import Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim import faults
 from targets.sim.folder import GIVEN
 from targets.sim.schedule import read

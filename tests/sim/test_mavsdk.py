@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.quad_rig import ORIGIN
-from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values.geodesy import LocalFrame
 
 pytest.importorskip("mavsdk")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.trace import Cause, End, Mark, Verdict, Violation, read
 from targets.sim.view import report, show
 from tests.sim.browser import CHROMIUM, WEBGL, Browser

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.car.bicycle import State
 from targets.car.fence import beyond
 from targets.car.mpc import Command

@@ -15,8 +15,8 @@ import msgspec
 import pytest
 from matplotlib import pyplot as plt
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim import summary, trace
 from targets.sim.trace import End, Violation
 from targets.sim.view import plots, report

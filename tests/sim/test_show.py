@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime import trace as runtime
+from koordgen.runtime.trace import writer as runtime
 from targets.sim import trace
 from targets.sim.beliefs import Beliefs
 from targets.sim.scenario import Shared, load

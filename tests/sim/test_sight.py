@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.fixtures.rays import to_obstacle, to_segment
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.bodies import Vector
 from targets.sim.bullet import Bullet
 from targets.sim.car import HEIGHT, SimulatedCar

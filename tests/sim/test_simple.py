@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.platform import Platform, Unready
-from koordgen.runtime.settings import Box, Origin, Peer, Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.car.simple import SimpleCar as CarPlatform
 from targets.planning.process import Inside
 from targets.quad.simple import SimpleQuad

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.sim.view import report
 from tests.sim.lockstep import ran, summary
 from tests.sim.test_simple import Rig

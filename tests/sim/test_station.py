@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from koordgen.runtime.feed import Feed
+from koordgen.runtime.vehicle.feed import Feed
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.station import BaseStation, SimulatedFeed, fed
 

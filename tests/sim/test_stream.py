@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.obstacles import Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim import harness
 from targets.sim.trace import Init, Log, Moved, Round
 from targets.sim.view import stream

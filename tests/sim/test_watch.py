@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.network import Conditions
-from koordgen.runtime.values import Point
+from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.points import Point
 from tests.sim.watched import LINE, Watched
 
 WHOLE = (

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from targets.sim.windows import FILE
 from tests.sim.watched import Watched
 

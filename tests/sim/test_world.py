@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.obstacles import Block
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block
+from koordgen.runtime.values.points import Point
 from targets.sim import quadrotor
 from targets.sim.bodies import Vector
 from targets.sim.car import SimulatedCar

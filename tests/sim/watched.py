@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES, Fleet
-from koordgen.runtime.network import Conditions
+from koordgen.runtime.net.network import Conditions
 from targets.sim import trace, watch
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Companion

@@ -11,7 +11,7 @@ def root(context, missing=missing):
     l_0_name = resolve('name')
     l_0_drivers = resolve('drivers')
     pass
-    yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.agent import main\n        from program import PROGRAM\n        from properties import PROPERTIES\n        from '
+    yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n        from properties import PROPERTIES\n        from '
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
@@ -28,7 +28,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_loop, 'index'))
         yield '\n'
     l_1_loop = l_1__ = l_1_driver = l_1_class = missing
-    yield '    except ImportError as missing:\n        from koordgen.runtime.findings import tell_unloadable\n\n        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None\n    drivers = {'
+    yield '    except ImportError as missing:\n        from koordgen.runtime.ops.findings import tell_unloadable\n\n        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None\n    drivers = {'
     l_1_loop = missing
     for (l_1_served, l_1__, l_1__), l_1_loop in LoopContext((undefined(name='drivers') if l_0_drivers is missing else l_0_drivers), undefined):
         _loop_vars = {}

@@ -14,7 +14,7 @@ def root(context, missing=missing):
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
-    yield '\n    except ModuleNotFoundError as missing:\n        from koordgen.runtime.host import install_requirements\n\n        print(f"error: the Python package {missing.name!r} is missing\\n"\n              f"  help: {install_requirements(HERE)}", file=sys.stderr)\n        raise SystemExit(5) from None\n    raise SystemExit('
+    yield '\n    except ModuleNotFoundError as missing:\n        from koordgen.runtime.ops.host import install_requirements\n\n        print(f"error: the Python package {missing.name!r} is missing\\n"\n              f"  help: {install_requirements(HERE)}", file=sys.stderr)\n        raise SystemExit(5) from None\n    raise SystemExit('
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
     yield '(HERE, sys.argv[1:]))\n'
 

@@ -1,4 +1,4 @@
-"""Distances of points and of paths: functions of which lemmas are told, each true of koordgen/runtime/geometry.py.
+"""Distances of points and of paths: functions of which lemmas are told, each true of runtime/values/geometry.py.
 
 A path is not looked into: only its first and last points are, and paths of one point. Squares are told where
 coordinates are reckoned with elsewhere (`measured`), or where they are asked for; all else is linear.

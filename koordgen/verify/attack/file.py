@@ -35,8 +35,8 @@ from koordgen.ir.types import (
     list_of,
 )
 from koordgen.node import nodes
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.exact import Root, root
 from koordgen.semantics.property import Asked
 from koordgen.semantics.state import Robot, State, Store

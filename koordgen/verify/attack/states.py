@@ -18,7 +18,7 @@ from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import Node
 from koordgen.prove.model import made_state, with_values
 from koordgen.prove.reach import Pools
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values.points import Point, Pose
 from koordgen.semantics.builtins import map_of, set_of
 from koordgen.semantics.exact import made_exact
 from koordgen.semantics.state import Robot, State, Store

@@ -6,8 +6,8 @@ import ctypes
 from collections.abc import Sequence
 from pathlib import Path
 
-from koordgen.runtime import native
-from koordgen.runtime.native import NotCompiled
+from koordgen.runtime.native import loader as native
+from koordgen.runtime.native.loader import NotCompiled
 from targets.car.solver.model import INPUTS, STATES, STEPS
 from targets.car.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
 

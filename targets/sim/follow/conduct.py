@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
-from koordgen.runtime.drivers import Drivers
-from koordgen.runtime.platform import Platform
-from koordgen.runtime.program import Program
-from koordgen.runtime.property import Properties
-from koordgen.runtime.settings import Settings
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.vehicle.drivers import Drivers
+from koordgen.runtime.vehicle.platform import Platform
 from targets.sim.bodies import BodyState
 from targets.sim.follow.guide import FollowedBody, Guide
 from targets.sim.lockstep.resident import HEADER, Resident, Shared, Told

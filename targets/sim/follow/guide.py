@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.platform import Finding, Sensed
-from koordgen.runtime.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
-from koordgen.runtime.trace import Record
-from koordgen.runtime.values import Point
+from koordgen.runtime.program.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.follow.plan import Plan, Values
@@ -231,8 +231,8 @@ class Guide:
 
 
 class FollowedBody:
-    """A koordgen.runtime.platform.Platform whose sensors and callable ports say what the plan does. `round_` tells the
-    agent's round."""
+    """A koordgen.runtime.vehicle.platform.Platform whose sensors and callable ports say what the plan does. `round_`
+    tells the agent's round."""
 
     period = 0.05
 

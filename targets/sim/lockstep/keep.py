@@ -1,14 +1,15 @@
-"""What a robot in lockstep finds again after a crash: as much as the file of a real one holds (runtime/store.py)."""
+"""What a robot in lockstep finds again after a crash: as much as the file of a real one holds
+(runtime/agent/store.py)."""
 
 from __future__ import annotations
 
 from collections import deque
 
-from koordgen.runtime.store import KEPT, Acceptor, Kept, Loaded, Locals, Mission
+from koordgen.runtime.agent.store import KEPT, Acceptor, Kept, Loaded, Locals, Mission
 
 
 class MemoryStore:
-    """Implements `koordgen.runtime.store.Keeper`; it outlives its agent."""
+    """Implements `koordgen.runtime.agent.store.Keeper`; it outlives its agent."""
 
     def __init__(self) -> None:
         self._mission: Mission | None = None

@@ -14,19 +14,19 @@ from typing import IO, Any
 
 import msgspec
 
-from koordgen.runtime.clock import Clock, SimulatedClock
-from koordgen.runtime.drivers import Drivers, with_drivers
-from koordgen.runtime.extern import BadExtern
-from koordgen.runtime.layout import TooLarge
-from koordgen.runtime.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
-from koordgen.runtime.machine import Agent as Machine
-from koordgen.runtime.network import MemoryNetwork, MemoryTransport, Queue
-from koordgen.runtime.platform import Platform, Unready
-from koordgen.runtime.program import Program
-from koordgen.runtime.property import Properties
-from koordgen.runtime.runner import Limit
-from koordgen.runtime.settings import BadSettings, Settings, load
-from koordgen.runtime.trace import Trace
+from koordgen.runtime.agent.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
+from koordgen.runtime.agent.machine import Agent as Machine
+from koordgen.runtime.config.settings import BadSettings, Settings, load
+from koordgen.runtime.net.layout import TooLarge
+from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import Limit
+from koordgen.runtime.trace.writer import Trace
+from koordgen.runtime.values.clock import Clock, SimulatedClock
+from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
+from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.sim.bodies import Embodied
 from targets.sim.crew import Agent
 from targets.sim.lockstep.keep import MemoryStore

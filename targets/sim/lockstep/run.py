@@ -13,8 +13,8 @@ import random
 import time
 from pathlib import Path
 
-from koordgen.runtime.network import MemoryNetwork
-from koordgen.runtime.runner import Interrupting
+from koordgen.runtime.net.network import MemoryNetwork
+from koordgen.runtime.program.runner import Interrupting
 from targets.sim.crew import Step
 from targets.sim.lockstep.resident import Resident, Shared
 from targets.sim.medium import Medium

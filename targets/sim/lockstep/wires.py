@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.vehicle.platform import Unready
 
 # What a socket's buffer of Linux holds of such datagrams: what comes beyond it is lost.
 MOST_WAITING = 256
@@ -62,7 +62,8 @@ class Line:
 
 
 class LineEnd:
-    """Implements `koordgen.runtime.inside.Exchange`. It can be written to after the agent's death, as CableEnd."""
+    """Implements `koordgen.runtime.vehicle.inside.Exchange`. It can be written to after the agent's death, as
+    CableEnd."""
 
     def __init__(self, line: Line) -> None:
         self._line = line
@@ -78,7 +79,8 @@ class LineEnd:
 
 
 class Cable:
-    """A serial line: `targets.sim.ports.Terminal`, and the agent's `koordgen.runtime.inside.Stream` by `opened`."""
+    """A serial line: `targets.sim.ports.Terminal`, and the agent's `koordgen.runtime.vehicle.inside.Stream` by
+    `opened`."""
 
     def __init__(self, device: str) -> None:
         self.device = device
@@ -123,8 +125,8 @@ class Cable:
 
 
 class CableEnd:
-    """Implements `koordgen.runtime.inside.Stream`. It can be written to after the agent's death: its watchdog holds it,
-    too."""
+    """Implements `koordgen.runtime.vehicle.inside.Stream`. It can be written to after the agent's death: its watchdog
+    holds it, too."""
 
     def __init__(self, cable: Cable) -> None:
         self._cable = cable
@@ -175,8 +177,8 @@ class Hub:
 
 
 class Surroundings:
-    """Implements `koordgen.runtime.inside.Inside` for one start of one agent. `steps` are called with each step of the
-    world."""
+    """Implements `koordgen.runtime.vehicle.inside.Inside` for one start of one agent. `steps` are called with each step
+    of the world."""
 
     def __init__(self, hub: Hub, clock: Callable[[], float], seed: int, iterations: int) -> None:
         self._hub = hub

@@ -63,7 +63,7 @@ class Computer(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """An agent's report (koordgen/runtime/agent.py); older agents lack fields that have a default here."""
+    """An agent's report (koordgen/runtime/agent/process.py); older agents lack fields that have a default here."""
 
     phase: str
     round: Count

@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from targets.sim.trace import Header
 from targets.sim.view.colours import COLOURS, DASHES, GREY, STATES, STONE
 from targets.sim.view.tracks import Tracks, cells

@@ -21,7 +21,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.trace import (
     Cause,
     Header,

@@ -28,7 +28,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from koordgen.runtime.values import Point, Scan
+from koordgen.runtime.values.points import Point, Scan
 from targets.sim.bodies import Vector
 from targets.sim.noticed import Notable, said
 from targets.sim.trace import (

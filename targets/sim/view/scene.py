@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
 from targets.sim.trace import Header
 from targets.sim.view.colours import GREY, STATES, STONE, of_robot, rgba
 

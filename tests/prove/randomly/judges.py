@@ -27,7 +27,7 @@ from koordgen.node import replace
 from koordgen.prove import explain, reach
 from koordgen.prove.solve import Both, Solver
 from koordgen.prove.verdict import WELL_DEFINED, Question, prove
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.points import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.property import holds_assumption, holds_property

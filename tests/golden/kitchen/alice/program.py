@@ -12,8 +12,8 @@ from typing import Annotated, Any
 from msgspec import Struct
 from msgspec.structs import replace
 
-from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text
-from koordgen.runtime.containers import (
+from koordgen.runtime.values.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text
+from koordgen.runtime.values.containers import (
     appended,
     at,
     extended,
@@ -37,14 +37,14 @@ from koordgen.runtime.containers import (
     updated,
     without,
 )
-from koordgen.runtime.extern import Extern, Library
-from koordgen.runtime.gridmap import GridMap, cell, center, is_known
-from koordgen.runtime.metered import area, clear, mark_free, merge, path_distance
-from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
-from koordgen.runtime.region import Ball, Rect
-from koordgen.runtime.text import shown
-from koordgen.runtime.turns import looked, looked_in, made, minus, plus, turn, turns
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
+from koordgen.runtime.program.extern import Extern, Library
+from koordgen.runtime.values.gridmap import GridMap, cell, center, is_known
+from koordgen.runtime.program.metered import area, clear, mark_free, merge, path_distance
+from koordgen.runtime.program.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
+from koordgen.runtime.values.region import Ball, Rect
+from koordgen.runtime.values.text import shown
+from koordgen.runtime.values.turns import looked, looked_in, made, minus, plus, turn, turns
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
 
 Ticket = Annotated[Opaque, "Ticket"]
 

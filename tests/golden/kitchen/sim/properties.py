@@ -7,12 +7,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from koordgen.runtime.containers import last
-from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.property import Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
-from koordgen.runtime.region import Ball, Rect
-from koordgen.runtime.turns import looked, turns
-from koordgen.runtime.values import Point, Pose, Scan, distance, no_nan_in
+from koordgen.runtime.values.containers import last
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.program.property import (
+    Asking,
+    Assumption,
+    Each,
+    Known,
+    One,
+    Properties,
+    Property,
+    Trail,
+    Unchecked,
+)
+from koordgen.runtime.values.region import Ball, Rect
+from koordgen.runtime.values.turns import looked, turns
+from koordgen.runtime.values.points import Point, Pose, Scan, distance, no_nan_in
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
 

@@ -11,12 +11,12 @@ if __name__ == "__main__":
               "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)
         raise SystemExit(5)
     try:
-        from koordgen.runtime.agent import main
+        from koordgen.runtime.agent.process import main
         from program import PROGRAM
         from properties import PROPERTIES
         from targets.quad.platform import Quad as Body
     except ImportError as missing:
-        from koordgen.runtime.findings import tell_unloadable
+        from koordgen.runtime.ops.findings import tell_unloadable
 
         raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None
     drivers = {}

@@ -6,9 +6,9 @@ file anew: change the Koord program, not this.
 
 from __future__ import annotations
 
-from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
-from koordgen.runtime.values import Point
+from koordgen.runtime.values.bounds import Fixed
+from koordgen.runtime.program.program import Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
+from koordgen.runtime.values.points import Point
 
 
 class State(Transaction):

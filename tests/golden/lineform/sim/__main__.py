@@ -9,7 +9,7 @@ if __name__ == "__main__":
     try:
         from targets.sim.harness import main
     except ModuleNotFoundError as missing:
-        from koordgen.runtime.host import install_requirements
+        from koordgen.runtime.ops.host import install_requirements
 
         print(f"error: the Python package {missing.name!r} is missing\n"
               f"  help: {install_requirements(HERE)}", file=sys.stderr)

@@ -5,7 +5,7 @@ The next build writes this file anew: change the Koord program, not this.
 
 from __future__ import annotations
 
-from koordgen.runtime.property import Known, Properties
+from koordgen.runtime.program.property import Known, Properties
 
 from program import PROGRAM
 

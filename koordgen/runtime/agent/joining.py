@@ -1,0 +1,283 @@
+"""From process start to round 1: who is alive, whose `init` has run, and when the rounds begin.
+
+Each robot tells each other one, every period, its boot, its `init` result and whose results it holds. A boot is
+adopted only when its Hello answers a challenge that opened after the last adoption, so a recorded Hello of an earlier
+boot never passes for the present one. Who holds all results announces the epoch, a digest of all boots. Once all
+announce the same one, the robot with the lowest pid proposes the start of round 1, and everyone passes it on.
+
+A robot whose process died within a mission comes back with the epoch that it had kept, and without an `init`: it is
+adopted by those who are in that mission, and learns the start from them. When all robots are there and nobody is in it,
+that mission is lost, and a new one begins.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from dataclasses import dataclass
+from hashlib import blake2s
+
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.link import Link
+from koordgen.runtime.net.wire import Closing, Hello, epoch_of
+
+PERIOD = 0.2  # seconds between two Hellos to the same robot
+FEW = 32  # robots; in a larger fleet the period is longer, or Hellos would leave no time for anything else
+LEAD = 5  # periods from the proposal to round 1: so many Hellos from every robot that has heard it
+# Why a robot that does send may not be heard, by the reason its datagrams are dropped for.
+_UNHEARD = {
+    "not authentic": "datagrams come that were sealed with another key than ours",
+    "another application": "datagrams come with another application_id than ours",
+    "another format version": "datagrams come from the bundle of another koordgen version",
+    "another interface": "a robot runs another program",
+    "another program": "a robot runs another program",
+    "another release": "a robot runs another release of this program",
+}
+LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by one of ours
+
+
+@dataclass(slots=True)
+class _Other:
+    """What is known of another robot's present boot."""
+
+    adoptions: int = 0
+    challenge: bytes = b""  # of its, for us to answer
+    init: Closing | None = None
+    epoch: bytes = b""
+    holds: tuple[int, ...] = ()
+    idle: bool = False  # it is in no mission
+    inside: bool = False  # it is in ours
+    elsewhere: bool = False  # it is in a mission that our boot is not part of
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """An agreed beginning: fleet time of round 1 and everyone's round-0 closing by pid."""
+
+    epoch: bytes
+    start: float
+    inits: tuple[Closing, ...]
+
+
+class Joining:
+    """One robot's part in it. Lasts as long as the process: robots that come late are answered during the mission."""
+
+    def __init__(self, link: Link, layout: Layout, names: tuple[str, ...]) -> None:
+        self._link = link
+        self._layout = layout
+        self._names = names
+        self._pid = link.pid
+        self._others = {p: _Other() for p in range(len(names)) if p != link.pid}
+        self._init: Closing | None = None
+        self._start: float | None = None
+        self._next = 0.0
+        self._period = PERIOD * max(1.0, len(names) / FEW)
+        self._returning = False
+        self._announced: deque[bytes] = deque(maxlen=8)  # missions that others may have begun with this boot
+        self.met = True  # no robot need be told of this one any more
+        self._restarted: set[int] = set()  # robots that began anew while the mission runs
+        self._untold = False  # there are more of them
+        # Hellos of boots that have not proven to be live: who was answered in this period, and for each robot how many
+        # more came since, with the challenge of one of them.
+        self._answered: set[int] = set()
+        self._unanswered: dict[int, tuple[int, bytes]] = {}
+        self._random = random.Random(link.boot)  # of a simulated boot the same each time
+
+    def come_back(self, epoch: bytes) -> None:
+        """This robot was in the mission of that name when its process died."""
+        self._returning = True
+        self.met = False
+        self._link.epoch = epoch
+
+    def began_anew(self) -> str:
+        """The robots that began anew while the mission runs, when there are more of them than this told before."""
+        untold, self._untold = self._untold, False
+        return ", ".join(self._names[p] for p in sorted(self._restarted)) if untold else ""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mission that this robot would come back to is nobody's any more."""
+        return self._returning and self._start is None and all(o.idle for o in self._others.values())
+
+    @property
+    def inside(self) -> list[int]:
+        """Those who are in the mission that this robot comes back to."""
+        return [p for p, o in self._others.items() if o.inside] if self._returning else []
+
+    @property
+    def returned(self) -> float | None:
+        """The start of round 1 of the mission that this robot comes back to, once it has heard it."""
+        return self._start if self._returning else None
+
+    def ready(self, init: Closing) -> None:
+        """The own `init` has run: this robot begins a mission."""
+        self._init = init
+        if self._returning:
+            self._returning = False
+            self._link.epoch = b""
+        self._agree()
+
+    @property
+    def mission(self) -> Mission | None:
+        """The mission, once its start is known."""
+        inits = self._inits()
+        if self._start is None or inits is None or self._returning:
+            return None
+        return Mission(self._link.epoch, self._start, inits)
+
+    def poll(self, now: float, fleet: float | None) -> float:
+        """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
+        if self._start is not None:
+            return self.meet(now)
+        agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
+        if agreed and self._pid == 0 and fleet is not None:
+            self._start = round((fleet + LEAD * self._period) * 1e6) / 1e6
+            self._next = now
+        if now >= self._next:
+            self._next = now + self._period
+            self._answer_more()
+            self.tell()
+        return self._next
+
+    def meet(self, now: float) -> float:
+        """During the mission: Hellos to those whose present boot is not known, or who may not know ours. When to be
+        called again."""
+        if now >= self._next:
+            self._next = now + self._period
+            self._answer_more()
+            for pid in self._link.strangers if self.met else self._others:
+                self._hello(pid, self._others[pid].challenge)
+            self._link.strangers.clear()
+        return self._next
+
+    def tell(self) -> None:
+        """A Hello to every other robot."""
+        for pid, other in self._others.items():
+            self._hello(pid, other.challenge)
+
+    def take(self, hello: Hello, fleet: float | None) -> None:
+        """Judge a Hello that `link` let through."""
+        pid = hello.head.pid
+        other = self._others[pid]
+        if not self._link.is_adopted(hello):
+            if hello.answer != self._challenge(pid):
+                self._answer(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
+                return
+            same_mission = hello.head.epoch == self._link.epoch
+            if self._start is not None and not same_mission:
+                self._untold = self._untold or pid not in self._restarted
+                self._restarted.add(pid)
+                self._answer(pid, hello.challenge)
+                return
+            self._link.adopt(hello)
+            other = self._others[pid] = _Other(adoptions=other.adoptions + 1)
+            if self._start is None and not self._returning:
+                self._link.epoch = b""
+        other.challenge = hello.challenge
+        if self._start is not None:
+            # Either it missed the proposal, or it has not met this boot; else two that know it have nothing to say.
+            if hello.start is None or hello.answer != self._challenge(pid):
+                self._hello(pid, other.challenge)
+            return
+        if self._returning:
+            self._learn(other, hello, fleet)
+            return
+        init = hello.init
+        if init is not None and (init.author != pid or init.round != 0 or self._layout.read(init) is None):
+            self._link.reject("init result does not fit")
+            return
+        other.init = init
+        other.epoch = hello.head.epoch
+        other.holds = hello.holds
+        self._agree()
+        self._learn(other, hello, fleet)
+
+    def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
+        """Take over the start of the own mission from one who is in it."""
+        epoch = hello.head.epoch
+        if hello.start is not None and epoch != self._link.epoch and epoch in self._announced:
+            self.come_back(epoch)  # they began when all had met, before another robot's boot changed
+        other.idle = hello.start is None
+        other.elsewhere = hello.start is not None and epoch != self._link.epoch
+        other.inside = hello.start is not None and not other.elsewhere
+        if hello.start is not None and self._link.epoch and not other.elsewhere:
+            start = hello.start / 1e6
+            if fleet is not None and start - fleet <= LONGEST_LEAD:
+                self._start = start
+                self.tell()
+
+    @property
+    def alone(self) -> str:
+        """Why this robot should not begin to move, in words: who was not heard yet, running this program, or is in
+        another mission. Empty when all are here, or one who is in the mission that this robot comes back to."""
+        return "" if self.inside else "; ".join(self._absent())
+
+    def _absent(self) -> list[str]:
+        silent = [self._names[p] for p in self._others if p not in self._link.sessions.boots]
+        elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
+        parts = []
+        if elsewhere:
+            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
+        if silent:
+            reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
+            why = f" ({'; '.join(reasons)})" if reasons else ""
+            parts.append(f"waiting for {', '.join(silent)}, not heard yet{why}")
+        return parts
+
+    def waiting(self) -> str:
+        """What is waited for, in words; empty when the mission's start is known."""
+        if self._start is not None:
+            return ""
+        absent = self._absent()
+        unready = [self._names[p] for p, o in self._others.items() if p in self._link.sessions.boots and o.init is None]
+        deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
+        parts = ["coming back to the mission"] if self._returning else []
+        parts += absent
+        if unready and not self._returning:
+            parts.append(f"waiting for {', '.join(unready)} to get ready")
+        if deaf and not self._returning and not absent and not unready:
+            parts.append(f"waiting until {', '.join(deaf)} hear from all")
+        return "; ".join(parts) or "waiting for the start of round 1"
+
+    def _answer(self, pid: int, challenge: bytes) -> None:
+        """Answer a Hello that may be a recorded one: at most one a period and robot, however many come. Of those that
+        come in the same period one is drawn at random for the next period, so that nobody can crowd out the robot
+        itself."""
+        if pid not in self._answered:
+            self._answered.add(pid)
+            self._hello(pid, challenge)
+            return
+        count, drawn = self._unanswered.get(pid, (0, challenge))
+        if challenge != drawn:
+            count += 1
+            drawn = challenge if self._random.randrange(count + 1) == 0 else drawn
+        self._unanswered[pid] = count, drawn
+
+    def _answer_more(self) -> None:
+        """A period begins."""
+        self._answered = set(self._unanswered)
+        for pid, (_, challenge) in self._unanswered.items():
+            self._hello(pid, challenge)
+        self._unanswered = {}
+
+    def _hello(self, to: int, answer: bytes) -> None:
+        holds = tuple(p for p, o in sorted(self._others.items()) if o.init is not None)
+        start = None if self._start is None else round(self._start * 1e6)
+        self._link.speech.hello(to, self._challenge(to), answer, holds, self._init, start)
+
+    def _challenge(self, pid: int) -> bytes:
+        """New after each adoption and each start, so an answer recorded earlier never fits."""
+        text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
+        return blake2s(text, digest_size=8, person=b"k-hello").digest()
+
+    def _inits(self) -> tuple[Closing, ...] | None:
+        inits = {p: o.init for p, o in self._others.items()} | {self._pid: self._init}
+        held = tuple(init for _, init in sorted(inits.items()) if init is not None)
+        return held if len(held) == len(inits) else None
+
+    def _agree(self) -> None:
+        if self._start is None and self._inits() is not None:
+            boots = self._link.sessions.boots | {self._pid: self._link.boot}
+            self._link.epoch = epoch_of([boots[p] for p in sorted(boots)])
+            if self._link.epoch not in self._announced:
+                self._announced.append(self._link.epoch)

@@ -1,0 +1,421 @@
+"""One robot: a machine that is polled, from start through joining and rounds to the safe end.
+
+Everything it touches is handed to it (clock, transport, platform, trace, log), so that a simulator can drive many on
+a clock of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+from koordgen.runtime.agent.joining import Joining
+from koordgen.runtime.agent.keeping import Keeping
+from koordgen.runtime.agent.rounds import Lost, Rounds
+from koordgen.runtime.agent.store import Keeper
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.monitor.allowance import Cpu
+from koordgen.runtime.monitor.monitor import Monitors
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.link import Heard, Link
+from koordgen.runtime.net.metrics import Metrics, tally
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.net.wire import Closing, Hello, View, encoder
+from koordgen.runtime.ops.journal import Emit, Journal
+from koordgen.runtime.ops.recent import goal
+from koordgen.runtime.program.program import Fault, Life, Program
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import Limit, Runner, unlimited
+from koordgen.runtime.program.skips import NO_POSITION, STOPPED
+from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.replica import Replica
+from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.trace.writer import Observe, Trace
+from koordgen.runtime.values.clock import Clock
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.body import Body
+from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
+from koordgen.runtime.vehicle.safety import Guard
+from koordgen.runtime.vehicle.stall import Stalls
+
+OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
+LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
+MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
+
+
+class Agent:
+    """`poll` it at least as often as it asks for; it is `done` when the body is at rest and nothing is left to serve.
+    `boot` is 8 random bytes, new for every start of the process. Raises TooLarge (layout)."""
+
+    def __init__(
+        self,
+        program: Program,
+        settings: Settings,
+        key: bytes | None,
+        platform: Platform,
+        clock: Clock,
+        transport: Transport,
+        trace: Trace,
+        emit: Emit,
+        boot: bytes,
+        store: Keeper,
+        monitors: Sequence[Observe] = (),
+        limit: Limit = unlimited,
+        properties: Properties | None = None,
+        cpu: Cpu | None = None,
+    ) -> None:
+        self._settings = settings
+        self._platform = platform
+        self._clock = clock
+        self._transport = transport
+        self._names = tuple(p.name for p in settings.peers)
+        self.metrics = Metrics(settings.pid, len(self._names))
+        self._layout = Layout(program.shared, len(self._names))
+        self._fleet_clock = FleetClock(settings.pid)
+        self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
+        self.monitors = Monitors(properties, settings, self._journal.monitor, limit, cpu)
+        self._journal.watch(self.monitors.hear)
+        self._stalls = Stalls(self._journal.stall)
+        self._link = Link(
+            program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
+        )
+        self._joining = Joining(self._link, self._layout, self._names)
+        self._keeping = Keeping(store, program, len(self._names))
+        if self._keeping.interrupted:
+            self._joining.come_back(self._keeping.interrupted)
+        fence, budget = settings.geofence, settings.planner_budget
+        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
+        self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
+        self._guard = Guard(settings.safety, settings.geofence)
+        self._unready: str | None = None  # why no event may run as far as the body goes
+        self._rounds: Rounds | None = None
+        self._replica: Replica | None = None
+        self._view = -1
+        self._kinds = {variable.name: variable.kind for variable in program.shared}
+        self._next_body = 0.0
+        self._missed = self._failures = 0
+        self._init: Life | None = None
+        self._resting_since = 0.0
+        self._served = 0.0  # when the platform's `poll` last went well
+        self._asked_to_end = False
+        self._started = self._lost = self._broken = False
+        self.phase = ""
+        self.status = OK
+        self.done = False
+        trace.header(program, settings.robot, settings.pid, len(self._names), settings.delta)
+
+    @property
+    def round(self) -> int:
+        """The present round; 0 before the first."""
+        return self._rounds.round if self._rounds is not None else 0
+
+    @property
+    def expects(self) -> tuple[int, float]:
+        """See Rounds."""
+        return self._rounds.expects if self._rounds is not None else (1, 0.0)
+
+    def counters(self) -> dict[str, int]:
+        """Everything counted so far, by its name."""
+        counters = None if self._rounds is None else self._rounds.counters
+        return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
+
+    def clock_error(self, now: float) -> float | None:
+        """Bound of the error of fleet time at local time `now`, in seconds; None while unknown."""
+        bound = self._fleet_clock.bound(now)
+        return bound if bound < math.inf else None
+
+    def snapshot(self, now: float) -> dict[str, Any]:
+        """Plain values for people, at local time `now`: `pose` (position in metres, ENU; yaw in radians; its age in
+        seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was sent to; and what
+        happened lately (see `recent`)."""
+        sensed, found = self._platform.sense(now), vitals(self._platform)
+        places = (v for name, v in sensed.values.items() if name.endswith(".position") and isinstance(v, Point))
+        position = next(filter(transmissible, places), None)
+        pose: dict[str, Any] | None = None
+        if position is not None and sensed.time is not None:
+            place = [round(c, 3) for c in (position.x, position.y, position.z)]
+            yaw = None if found.yaw is None else round(found.yaw, 4)
+            pose = {"position": place, "yaw": yaw, "age": round(max(0.0, now - sensed.time), 3)}
+        return {
+            "pose": pose,
+            "battery": None if found.battery is None else round(found.battery, 3),
+            "goal": goal(self._body.actuators, transmissible),
+            **self._journal.recent.report(now, self._kinds),
+        }
+
+    def end(self, why: str) -> None:
+        """Bring the robot to rest and be done then."""
+        self._asked_to_end = True
+        self._rest(why, OK)
+        self.done = self.done or not self._started
+
+    def stop_all(self, why: str) -> None:
+        """An emergency: come to rest at once, and tell the others to."""
+        if self._replica is not None:
+            self._replica.alarm()
+        self._journal.error(why)
+        self.end(why)
+
+    def poll(self, now: float) -> float:
+        """Do what is due at local time `now`; returns when to be polled again at the latest (earlier when a datagram
+        arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
+        try:
+            wake = self._poll(now)
+            if self.done and self._journal.untold:
+                self._tell()
+            return wake
+        except Unready as lost:
+            if not self._lost:
+                self._lost = True
+                self._journal.error(lost.message + (f" ({lost.hint})" if lost.hint else ""))
+                self._rest("the body cannot serve", SURROUNDINGS)
+            self._give_up(now)
+        except Exception:
+            self._failures += 1
+            if not self._broken:
+                self._journal.error("internal error, please report it:\n" + traceback.format_exc())
+                self._broken = True
+                self._rest("internal error", INTERNAL)
+            self.done = self.done or self._failures > MOST_FAILURES
+        self._transport.receive()  # what waits unread would keep the loop from waiting
+        return now + self._platform.period
+
+    def _poll(self, now: float) -> float:
+        if not self.phase:
+            self._enter("starting", "")
+            self._body.hold("alone", bool(self._joining.alone), now)
+            self._platform.start(now)
+            self._started = True
+        self._journal.round = self.round
+        wake = self._poll_body(now) if now >= self._next_body - 1e-9 else self._next_body
+        if self._broken:
+            self._transport.receive()
+            return wake
+        rounds = self._rounds
+        if rounds is None:
+            return min(wake, self._join(now))
+        # All others wait for the closing of a ripe round; after it there is time to let more of theirs come.
+        if not rounds.ripe(now) and (messages := self._link.receive()):
+            self._hear(messages, None)
+        due = self._poll_rounds(rounds, now)
+        calm = rounds.calm
+        if calm:
+            self._monitor(rounds, now)
+        if self._journal.full or (calm and self._journal.untold):
+            self._tell()
+        if rounds.over and self.phase == "running":
+            self._asked_to_end = True
+            self._rest("all robots have stopped", OK)
+        return min(wake, due, self._joining.meet(now))
+
+    def _join(self, now: float) -> float:
+        """Before the rounds: hear who is there, and begin them when it is time."""
+        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+        self._hear(self._link.receive(), fleet)
+        if inside := self._joining.inside:
+            self._link.keep_time(min(inside), now)  # who keeps the time is not known before the view
+        if self.phase not in ("starting", "joining"):
+            return math.inf
+        if self._init is not None:
+            self._keeping.mission(self._link.epoch, self._init)
+        wake = self._joining.poll(now, fleet)
+        if self._joining.lost and self.phase == "joining":
+            self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
+            self._run_init(now)
+        self._begin_rounds(now)
+        return wake
+
+    def _hear(self, messages: Sequence[Heard], fleet: float | None) -> None:
+        """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
+        for message in messages:
+            if isinstance(message, Hello):
+                self._joining.take(message, fleet)
+        if self._rounds is not None:
+            self._rounds.take([message for message in messages if not isinstance(message, Hello)])
+        if names := self._joining.began_anew():
+            self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
+
+    def _poll_rounds(self, rounds: Rounds, now: float) -> float:
+        replica = self._replica
+        assert replica is not None
+        try:
+            wake = rounds.poll(now, self._platform.sense, self._unready)
+        except Lost as lost:
+            self._journal.error(str(lost))
+            self._rest("cannot come back", SURROUNDINGS)
+            self._rounds = None
+            return now + self._platform.period
+        if rounds.counters.in_a_row != self._missed:
+            self._judge_missed(rounds)
+        if replica.emergency and self.phase == "running":
+            self._journal.error("emergency stop, heard from another robot")
+            self.end("emergency stop")
+        self._joining.met = self._joining.met or not replica.out
+        view = replica.views.view
+        if view.number != self._view:
+            self._view = view.number
+            self._journal.view(view, self._names, over=self.phase in ("resting", "rested"))
+            self._link.keep_time(next(p for p, m in enumerate(view.members) if m >= 0), now)
+        return wake
+
+    def _judge_missed(self, rounds: Rounds) -> None:
+        """What is due after so many rounds without shared state or time; their records may be told much later."""
+        safety, before = self._settings.safety, self._missed
+        self._missed = rounds.counters.in_a_row
+        if before < safety.missed_rounds <= self._missed:
+            self._journal.warn(f"{self._missed} rounds in a row {rounds.reason}")
+            if safety.missed_action == "rest":
+                self._rest("the shared memory is gone", SURROUNDINGS)
+
+    def _poll_body(self, now: float) -> float:
+        self._next_body = max(self._next_body + self._platform.period, now)
+        if self.phase in ("resting", "rested"):
+            self._platform.rest(now)
+        self._platform.poll(now)
+        self._served, self._failures = now, 0
+        for line in self._platform.news():
+            self._journal.warn(line)
+        match self.phase:
+            case "starting":
+                self._body.hold("alone", bool(self._joining.alone), now)
+                self._journal.progress("; ".join(filter(None, (self._platform.progress, self._joining.alone))))
+                if self._platform.ready:
+                    self._begin_joining(now)
+            case "joining" | "running":
+                if self.phase == "joining":
+                    self._body.hold("alone", bool(self._joining.alone), now)
+                    self._journal.progress(self._joining.waiting())
+                self._judge(now)
+                self._stalls.see(self._platform.stall, now)
+            case "resting" if self._platform.rested:
+                self._enter("rested", "")
+        self._end_when_rested()
+        return self._next_body
+
+    def _end_when_rested(self) -> None:
+        if self.phase == "rested":
+            over = self._rounds is None or self._rounds.over
+            self.done = self._asked_to_end or over or self._broken
+            if self.done and not self._broken:
+                self._keeping.forget()  # this robot's part is over: nothing to come back to
+
+    def _begin_joining(self, now: float) -> None:
+        """The body is ready: hold, and run `init` once."""
+        self._enter("joining", "")
+        self._body.hold("joining", True, now)
+        sensed = self._platform.sense(now)
+        self._body.begin(sensed)
+        if not self._keeping.interrupted:
+            self._run_init(now)
+
+    def _run_init(self, now: float) -> None:
+        """Begin a mission of one's own, with nothing of an earlier one."""
+        self._keeping.forget()
+        sensed = self._platform.sense(now)
+        shared = self._layout.initial()
+        frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
+        done = self._runner.init(frame)
+        calls = self._body.calls()
+        if isinstance(done, Fault):
+            self._journal.error(f"{done} (in init)")
+            self._rest("init failed", WRONG_PROGRAM)
+            return
+        result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
+        length = len(encoder.encode(result))
+        if length > self._link.speech.room:  # a Hello is one datagram
+            most = self._link.speech.room
+            self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
+            self._rest("init failed", WRONG_PROGRAM)
+            return
+        self._body.command(done.actuators, now)
+        self._init = Life(0, done.locals, self._body.actuators, done.stopped)
+        self._journal.init(frame.sensors, done, self._init, calls, now)
+        self.monitors.ran(done, None, 0, now)
+        self._joining.ready(result)
+
+    def _begin_rounds(self, now: float) -> None:
+        if self.phase != "joining":
+            return
+        mission, returned = self._joining.mission, self._joining.returned
+        n = len(self._names)
+        if mission is not None and self._init is not None:
+            start, epoch, lives = mission.start, mission.epoch, [self._init]
+            view, vote, applied = View(0, 1, (0,) * n), Vote(), 0
+            memory = Memory.begin(self._layout, self._settings.pid, view, mission.inits)
+        elif returned is not None:
+            start, epoch, memory = returned, self._link.epoch, None
+            view, applied, vote = self._keeping.announced()
+            if self._init is None:
+                lives = self._keeping.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
+            else:
+                lives = [self._init]
+                self._keeping.mission(epoch, self._init)
+        else:
+            return
+        timeout = self._settings.safety.peer_timeout
+        self._fleet_clock.lock()
+        self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._keeping.announce)
+        self._rounds = Rounds(
+            self._runner, self._body, self._replica, self._fleet_clock, self._names, start, self._settings.delta,
+            lives, self._journal.untold.append, self._keeping.life,
+        )  # fmt: skip
+        self._rounds.watched = self.monitors.wanted
+        self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
+        if self._rounds.stopped:
+            self._body.hold(STOPPED, True, now)
+        self._next_body = now
+
+    def _judge(self, now: float) -> None:
+        verdict = self._guard.judge(self._platform.sense(now), now)
+        told = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
+        if verdict.action == "rest":
+            self._rest(told, SURROUNDINGS)
+        elif self._body.hold("position", verdict.action == "hold", now):
+            self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
+        self._unready = f"{NO_POSITION}: {verdict.reason}" if verdict.action != "go" else None
+        if self.phase == "running" and self.round > 0:
+            self._body.hold("joining", False, now)
+
+    def _rest(self, why: str, status: int) -> None:
+        self.status = self.status or status
+        if self.phase in ("resting", "rested"):
+            return
+        self._resting_since = self._next_body = self._clock.now()  # the next poll calls the platform's `rest`
+        if self._rounds is not None:
+            self._rounds.leave()
+        self._body.retire()
+        self._enter("resting", why)
+        self._journal.measure(self._link.rejected, self._resting_since, at_once=True)
+        self._journal.judged(*self.monitors.summary())
+
+    def _give_up(self, now: float) -> None:
+        """A body that is lost for good is tried for a while, one that serves again for as long as it takes; one that
+        never began to serve has nothing to end."""
+        self._end_when_rested()
+        if not self._started:
+            self.done = True
+        elif self.phase == "resting" and now - max(self._resting_since, self._served) > LOST_BODY:
+            self._journal.error(f"the body did not come to rest within {LOST_BODY:.0f} s")
+            self.done = True
+
+    def _tell(self) -> None:
+        """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
+        self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
+        if self._replica is not None and self._replica.memory is not None:
+            self.metrics.held(self._replica.memory.held)
+
+    def _monitor(self, rounds: Rounds, now: float) -> None:
+        """What the properties demand, as far as this robot can tell."""
+        if rounds.moment is not None:
+            self._journal.attempt(self.monitors.look, rounds.moment)
+        verdict = self.monitors.verdict
+        self._body.hold("monitor", verdict.action == "hold", now)
+        if verdict.action == "rest" and self.phase == "running":
+            self._rest(verdict.reason, VIOLATED)
+
+    def _enter(self, phase: str, detail: str) -> None:
+        self.phase = phase
+        self._journal.phase(phase, detail)

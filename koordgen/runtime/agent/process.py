@@ -1,0 +1,317 @@
+"""The process of one robot: `main` of every agent bundle reads its settings, opens what it needs, runs the machine.
+
+Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 3 at rest, as the fleet file wants it when
+a property is violated; 5 surroundings (port, link, device, body);
+70 internal error; 130 ended at once by a third signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import select
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, TextIO
+
+from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
+from koordgen.runtime.agent.store import Store
+from koordgen.runtime.config.settings import BadSettings, Settings
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.layout import Layout, TooLarge
+from koordgen.runtime.net.seal import BadKey
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.control import Control
+from koordgen.runtime.ops.doctor import PlatformType, examine
+from koordgen.runtime.ops.findings import tell, tell_shortly
+from koordgen.runtime.ops.host import temperature
+from koordgen.runtime.ops.notify import Notifier
+from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.ops.status import ask, show
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.program import Program, wrong_first_value
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
+from koordgen.runtime.trace.parts import MEGABYTE, Parts, set_aside
+from koordgen.runtime.trace.writer import Trace
+from koordgen.runtime.values.clock import SystemClock
+from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
+from koordgen.runtime.vehicle.platform import Platform, Unready
+
+__all__ = ["Agent", "main"]
+
+INTERRUPTED = 130
+LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
+PIECE = 200  # characters that a pipe or terminal takes whole when it says that it takes any
+
+NO_DRIVERS: Drivers = {}
+
+
+def main(
+    program: Program,
+    platform_type: PlatformType,
+    root: Path,
+    argv: Sequence[str],
+    drivers: Drivers = NO_DRIVERS,
+    properties: Properties | None = None,
+) -> int:
+    """Run robot `program` on the body `platform_type` makes, with the settings in `root`; `drivers` makes those of
+    modules that the body does not offer, `properties` are monitored. Returns the exit status."""
+    arguments = _arguments(program, argv)
+    if isinstance(arguments, int):
+        return arguments
+    platform: Platform | None = None
+    try:
+        if arguments.check or arguments.doctor:
+            examined = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)
+            with closing(examined):
+                return tell(program.name, examined, arguments.format) if arguments.doctor else tell_shortly(examined)
+        settings = open_settings(root, arguments.settings, arguments.pid)
+        key = open_key(settings)
+        if key is None:
+            _say("warning", "INSECURE: no key, so anyone on this network can drive this robot")
+        if arguments.status:
+            return _status(settings, key, arguments.format)
+        Layout(program.shared, len(settings.peers))
+        wrong = wrong_first_value(program)
+        if wrong is not None:
+            return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
+        if program.library is not None:
+            program.library.load()  # importing may take longer than a round
+        reasons = courier.COMPILED.why(), gate.COMPILED.why()  # and so may compiling
+        if any(reasons):
+            _say("warning", f"updates take longer to arrive than they could: {reasons[0] or reasons[1]}")
+        platform = platform_type(settings, key)
+        platform = with_drivers(platform, program, drivers)
+        return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)
+    except (BadSettings, BadKey, TooLarge, BadExtern) as error:
+        return _fail(str(error), "", WRONG_PROGRAM)
+    except CannotOpen as error:
+        return _fail(str(error), "", SURROUNDINGS)
+    except Unready as error:
+        return _fail(error.message, error.hint, SURROUNDINGS)
+    except (KeyboardInterrupt, EndedAtOnce):
+        return _fail("ended at once; the body is left to its own failsafe", "", INTERRUPTED)
+    except Exception:
+        return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
+    finally:
+        if platform is not None:
+            platform.close()
+
+
+def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | int:
+    parser = argparse.ArgumentParser(
+        prog=f"python3 <bundle of {program.name}>",
+        description=f"Runs one robot of {program.name}.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="look whether all is well, up to the first that is not; move nothing"
+    )
+    parser.add_argument("--doctor", action="store_true", help="tell of all that there is to look at; move nothing")
+    parser.add_argument("--status", action="store_true", help="tell how the agent does that runs on this host")
+    parser.add_argument(
+        "--format", choices=("text", "json"), default="text", help="of --status and --doctor (default: text)"
+    )
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
+    parser.add_argument("--pid", type=int, metavar="N", help="take the place of robot N of the fleet")
+    parser.add_argument("--quiet", action="store_true", help="tell only warnings and errors")
+    try:
+        return parser.parse_args(list(argv))
+    except SystemExit as done:
+        return done.code if isinstance(done.code, int) else 2
+
+
+def _status(settings: Settings, key: bytes | None, form: str) -> int:
+    report = ask(settings, key)
+    if report is None:
+        place = f"{settings.bind or settings.peers[settings.pid].host}:{settings.control_port}"
+        hint = "is its agent running, on this host, with this key and application_id?"
+        return _fail(f"robot {settings.robot} does not answer at {place}", hint, SURROUNDINGS)
+    print(json.dumps(report, indent=2) if form == "json" else show(report))
+    return OK
+
+
+def _run(
+    program: Program,
+    settings: Settings,
+    key: bytes | None,
+    platform: Platform,
+    root: Path,
+    properties: Properties | None,
+    quiet: bool,
+) -> int:
+    def emit(level: str, line: str) -> None:
+        if not quiet or level != "info":
+            _print(line)
+
+    clock = SystemClock()
+    with ExitStack() as opened:
+        transport = open_transport(settings)  # first: it tells that we run already
+        opened.callback(transport.close)
+        control = Control.open(settings, key)
+        opened.callback(control.close)
+        store = _open_store(program, settings, root)
+        opened.callback(store.close)
+        trace = _open_trace(settings)
+        opened.callback(trace.close)
+        boot = os.urandom(8)
+        agent = Agent(
+            program, settings, key, platform, clock, transport, trace, emit, boot, store,
+            limit=Interrupting(), properties=properties,
+            cpu=time.thread_time,
+        )  # fmt: skip
+
+        def report() -> dict[str, Any]:
+            return {"boot": boot.hex(), **_report(settings, agent, control, root, clock.now())}
+
+        notifier = Notifier(os.environ, os.getpid())
+        opened.callback(notifier.close)
+        signals = opened.enter_context(_Signals())
+        seen = 0
+        stopped = False
+        agent.poll(clock.now())  # the body opens, and imports, what it needs
+        gc.collect()
+        gc.freeze()  # it stays: a collection amid a round, 6 ms with CasADi's and OMPL's modules, need not look at it
+        notifier.ready()
+        while not agent.done:
+            notifier.alive(clock.now(), f"{agent.phase}, round {agent.round // 100 * 100}")
+            if control.poll(clock.now(), agent.phase, report) and not stopped:
+                stopped = True
+                agent.stop_all("emergency stop")
+            wake = agent.poll(clock.now())
+            if signals.count > seen:
+                seen += 1
+                if seen == 1:
+                    notifier.stopping()
+                    agent.end(f"{signals.name}: coming to rest")
+                else:
+                    _say("warning", "still coming to rest; one more signal ends the process at once")
+            transport.wait(min(wake - clock.now(), LONGEST_WAIT), *agent.expects)
+        while control.lingers(clock.now()):
+            control.poll(clock.now(), agent.phase, report)
+            time.sleep(0.01)
+        gc.unfreeze()  # OMPL's binding tells at the end of what was not given back
+        return agent.status
+
+
+def _report(settings: Settings, agent: Agent, control: Control, root: Path, now: float) -> dict[str, Any]:
+    counters, error = agent.counters(), agent.clock_error(now)
+    dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
+    return {
+        "app": settings.app,
+        "release": settings.release,
+        "robot": settings.robot,
+        "pid": settings.pid,
+        "names": [peer.name for peer in settings.peers],
+        "phase": agent.phase,
+        "round": agent.round,
+        "delta": settings.delta,
+        "geofence": [[p.x, p.y, p.z] for p in (settings.geofence.lo, settings.geofence.hi)],
+        "monitors": agent.monitors.report(),
+        "host": {
+            "clock_ms": None if error is None else round(error * 1e3, 3),
+            "disk_gb": round(shutil.disk_usage(root).free / 1e9, 3),
+            "temperature": temperature(),
+        },
+        "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
+        **agent.snapshot(now),
+        **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
+    }
+
+
+class _Signals:
+    """SIGINT, SIGTERM and SIGHUP, counted inside the block; the third raises EndedAtOnce wherever the process is.
+    A terminal that closed counts once, however often it is told; under `nohup` it stays ignored."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.name = ""
+
+    def __enter__(self) -> _Signals:
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            numbers.append(signal.SIGHUP)
+        self._before = {number: signal.signal(number, self._take) for number in numbers}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP and self.count:
+            return
+        self.count += 1
+        self.name = signal.Signals(number).name
+        if self.count > 2:
+            raise EndedAtOnce
+
+
+def _open_store(program: Program, settings: Settings, root: Path) -> Store:
+    """Beside the bundle, not in it: a bundle can be replaced only while it holds nothing of its user's."""
+
+    def warn(text: str) -> None:
+        _say("warning", text)
+
+    if settings.state is None:
+        warn("state: none is kept, so if this program dies, the robot cannot come back to its mission")
+        path = None
+    else:
+        path = root.resolve().parent / settings.state / f"{settings.robot}.state"
+    return Store.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
+
+
+def _open_trace(settings: Settings) -> Trace:
+    def warn(text: str) -> None:
+        _say("warning", text)
+
+    if settings.trace is None:
+        return Trace(None, warn)
+    path, limit = Path(settings.trace).resolve(), settings.trace_limit
+    try:
+        if limit is not None and (path.is_file() or not path.exists()):  # a pipe or a device has no parts
+            return Trace(Parts(path, settings.robot, round(limit * MEGABYTE)), warn)
+        set_aside(path)
+        return Trace(path.open("wb"), warn)  # lives as long as the run
+    except OSError as error:
+        raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
+
+
+def _fail(message: str, hint: str, status: int) -> int:
+    _say("error", message + (f"\n  help: {hint}" if hint else ""))
+    return status
+
+
+def _say(level: str, text: str) -> None:
+    _print(f"{level}: {text}")
+
+
+def _print(line: str) -> None:
+    """To standard error, as far as it takes it at once: neither a closed terminal nor one that is halted (Ctrl-S, a
+    broken ssh connection) must stop the control loop of a flying robot."""
+    text = line + "\n"
+    with suppress(OSError, ValueError):
+        for at in range(0, len(text), PIECE):
+            if not _takes(sys.stderr):
+                return
+            sys.stderr.write(text[at : at + PIECE])
+            sys.stderr.flush()
+
+
+def _takes(stream: TextIO) -> bool:
+    """Whether a piece can be written without waiting."""
+    try:
+        number = stream.fileno()
+    except (OSError, ValueError):  # no file at all
+        return True
+    return bool(select.select([], [number], [], 0.0)[1])

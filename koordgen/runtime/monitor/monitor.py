@@ -1,0 +1,313 @@
+"""A robot's own monitors: what of the program's invariants, port assumptions and contracts it can tell by itself.
+
+An invariant is evaluated at the start of a round, on what is certain then: the robot's own sensors and variables, and
+the store as its replica holds it, all of that one moment; of other robots' ports and locals nothing is known. A port
+assumption is evaluated from right after a round's event to the next round's sensors. Nothing here raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from koordgen.runtime.config.settings import Action, Settings
+from koordgen.runtime.monitor.allowance import Allowance, Cpu
+from koordgen.runtime.monitor.told import told
+from koordgen.runtime.program.extern import Contract
+from koordgen.runtime.program.program import Effects
+from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, Trail, judged
+from koordgen.runtime.program.runner import Limit, Overrun
+from koordgen.runtime.program.skips import LEFT
+from koordgen.runtime.trace.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
+from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.vehicle.safety import GO, Verdict
+
+SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take
+LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
+BUDGET = 0.1  # of delta: what the properties of one round may take, all together
+MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
+GOALS = ("target", "path")
+LOOPS = "loop invariants"  # their name in the settings, all together
+
+Tell = Callable[[Change], None]
+
+
+class Monitors:
+    """`look` at each round's moment once its closing has left, `hear` each round's record once it is certain. `verdict`
+    is what the violated ones demand. `limit` interrupts what takes too long. Of those that are only logged as many are
+    evaluated as the processor's time `cpu` allows, the oldest first; those with an action always."""
+
+    def __init__(
+        self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit, cpu: Cpu | None = None
+    ) -> None:
+        self.verdict = GO
+        self._pid, self._names = settings.pid, tuple(p.name for p in settings.peers)
+        self._delta, self._patience = settings.delta, settings.safety.peer_timeout
+        self._actions = settings.monitors
+        self._tell, self._limit, self._cpu = tell, limit, cpu
+        self._round = 0
+        self._invariants: list[Watched] = []
+        self._assumptions: list[Watched] = []
+        self._contracts: dict[Contract, tuple[Watched, str | None]] = {}  # broken ones, with the event that broke it
+        self._loops: dict[int, tuple[Watched, str | None]] = {}  # loop invariants that were false, by line, likewise
+        self._off: list[Watched] = []
+        self._last: Record | None = None
+        self._actuators: Mapping[str, Any] | None = None  # after the last record's round
+        self._found = found
+        if found is not None:
+            self._watch(found)
+
+    def _watch(self, found: Properties) -> None:
+        n, program = len(self._names), found.program
+        self._known, self._step = found.fleet(n, None), found.step(n, None)
+        self._known.pid = self._step.pid = self._pid
+        place = {p.name: SENSED for p in program.ports if p.direction == "sensor"}
+        place |= {v.name: SHARED for v in program.shared}
+        for p in found.properties:
+            if p.kind == "invariant" and (action := self._action(p.name)) != "off":
+                places = [place.get(name, OWN) for name in p.reads]
+                reads, needs, senses = frozenset(p.reads), max(places, default=SENSED), SENSED in places
+                line = f"{program.source}:{p.line}"
+                self._invariants.append(Watched("invariant", p.name, line, action, p, reads, needs, senses))
+        for a in found.assumptions:
+            if (action := self._action(f"assume {a.module}")) != "off":
+                self._assumptions.append(
+                    Watched("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
+                )
+        # Each has its own, so that neither gets all the time that there is.
+        share = SHARE / 2 if self._invariants and self._assumptions else SHARE
+        self._invariant_time, self._assumption_time = Allowance(self._cpu, share), Allowance(self._cpu, share)
+        names = sorted(frozenset[str]().union(*(watched.reads for watched in self._invariants)))
+        self._reading = [(name, place.get(name, OWN)) for name in names]
+        self._values: dict[str, Any] = {}  # what was read last
+        self._rows = {name: [UNKNOWN] * n for name in self._known.each}
+        one = self._step.one
+        primed = frozenset[str]().union(*(watched.reads for watched in self._assumptions))
+        self._ports = [
+            (p.name, p.direction == "sensor", one[p.name], one[f"{p.name}'"])
+            for p in program.ports
+            if p.name in primed or f"{p.name}'" in primed
+        ]
+
+    def _action(self, name: str) -> Action:
+        return self._actions.get(name) or self._actions.get("default") or "log"
+
+    @property
+    def watched(self) -> list[Watched]:
+        """Everything that has an outcome or may get one."""
+        noted = (watched for watched, _ in (*self._contracts.values(), *self._loops.values()))
+        return [*self._invariants, *self._assumptions, *self._off, *noted]
+
+    @property
+    def wanted(self) -> bool:
+        """Whether moments are to be looked at."""
+        return bool(self._invariants or self._assumptions)
+
+    def look(self, moment: Moment | None) -> None:
+        """The present round's moment; the same one is looked at once. What it raises is a mistake of ours: all
+        invariants are off then."""
+        if moment is None or moment.round == self._round:
+            return
+        self._round = moment.round
+        if self._invariants:
+            try:
+                self._look(moment)
+            except Exception:
+                self._invariants = []
+                raise
+
+    def _look(self, moment: Moment) -> None:
+        if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
+            return
+        changed = self._put(moment)
+        old = moment.age(self._delta)
+        due = []
+        for watched in self._invariants:
+            watched.due = watched.due or not changed.isdisjoint(watched.reads)
+            if watched.needs > moment.certain:
+                self._wait(watched, moment)
+            elif watched.due:
+                due.append(watched)
+            else:  # what has not become another is as true as it was before
+                watched.true = moment.round - (old if watched.senses else 0)
+        if due:
+            self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
+        self._invariant_time.end()
+
+    def _is_urgent(self, asked: list[Watched]) -> bool:
+        """Whether one cannot wait for the processor's time."""
+        return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
+
+    def _wait(self, watched: Watched, moment: Moment) -> None:
+        """What is not certain for too long is not known any more."""
+        age = moment.round - watched.true
+        if age > self._patience and watched.outcome not in (None, "unknown"):
+            watched.due = True
+            self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
+
+    def _put(self, moment: Moment) -> set[str]:
+        """What is certain; the names of what is another object than before."""
+        known, values, changed = self._known, self._values, set()
+        for name, place in self._reading:
+            if place > moment.certain:
+                continue
+            value = moment.value(name, place)
+            if value is values.get(name):
+                continue
+            values[name] = value
+            changed.add(name)
+            if place == SHARED:
+                known.put({name: value})
+            else:
+                row = self._rows[name]
+                row[self._pid] = usable(value) if place == SENSED else value
+                known.each[name].values = row
+        return changed
+
+    def hear(self, record: Record) -> None:
+        """A round's record, in their order: it shows of assumptions about the round before, and of contracts."""
+        last, self._last = self._last, record
+        actuators = self._actuators if record.frame is None else record.frame.actuators
+        if record.restored is not None:
+            actuators, last = record.restored.actuators, None
+        following = last is not None and record.round == last.round + 1 and record.skipped != LEFT
+        if self._assumptions and following and last is not None and actuators is not None:
+            self._assume(last, record, actuators)
+        if actuators is not None and record.effects is not None and record.effects.actuators:
+            actuators = {**actuators, **record.effects.actuators}
+        self._actuators = actuators
+        self._contract(record)
+        if record.effects is not None:
+            self.ran(record.effects, record.event, record.round, record.time)
+
+    def ran(self, effects: Effects, event: str | None, round_: int, time: float) -> None:
+        """Take note of the loop invariants that were false in an event that counts (None: `init`), and of those that
+        were false in it before and are not any more."""
+        where = f"the event {event}" if event is not None else "init"
+        for line in effects.violated:
+            action = self._action(LOOPS)
+            if action == "off":
+                return
+            source = self._found.program.source if self._found is not None else ""
+            made = Watched("loop invariant", f"line {line}", f"{source}:{line}", action)
+            watched, _ = self._loops.get(line, (made, None))
+            self._loops[line] = watched, event
+            watched.true = round_
+            self._become(watched, "violated", f"in {where} it was false or had no value", time)
+        for line, (watched, broke) in self._loops.items():
+            if watched.outcome == "violated" and broke == event and line not in effects.violated:
+                watched.true = round_
+                self._become(watched, "held", f"{where} ran through again", time)
+
+    def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
+        """Of the round that `before` tells of: from right after its event to the sensors of the next round."""
+        if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
+            return
+        commanded = before.effects.actuators if before.effects is not None else ()
+        moved = {module for module, _, port in (name.rpartition(".") for name in commanded) if port in GOALS}
+        for name, senses, first, then in self._ports:
+            if senses:
+                module, _, port = name.rpartition(".")
+                unreached = port == "reached" and module in moved
+                first.content = False if unreached else usable(before.sensors[name])
+                then.content = usable(after.sensors[name])
+            else:
+                first.content = then.content = actuators[name]
+        self._step.asked = before.calls
+        self._judge(self._assumptions, self._step, self._assumption_time, after.time, after.round, 0)
+        self._assumption_time.end()
+
+    def _contract(self, record: Record) -> None:
+        """An event that a broken contract discarded; or that ran through although one was broken in it before."""
+        fault = record.fault
+        if fault is not None and fault.contract is not None:
+            contract = fault.contract
+            action = self._action(f"{contract.of} {contract.name}")
+            if action == "off":
+                return
+            made = Watched(contract.of, contract.name, f"{fault.file}:{contract.line}", action)
+            watched, _ = self._contracts.get(contract, (made, None))
+            self._contracts[contract] = watched, record.event
+            watched.true = record.round
+            self._become(watched, "violated", f"{fault}; the event is discarded", record.time)
+        elif fault is None and record.frame is not None:
+            for watched, event in self._contracts.values():
+                if watched.outcome == "violated" and event in (None, record.event):
+                    watched.true = record.round
+                    self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
+
+    def _judge(
+        self, due: list[Watched], known: Known, allowance: Allowance, time: float, round_: int, old: int
+    ) -> None:
+        """What each comes to, within the time that there is; what of it senses was so `old` rounds before `round_`."""
+        found: list[tuple[Watched, Outcome, str]] = []
+        begun: Watched | None = None
+        try:
+            with self._limit(BUDGET * self._delta):
+                for watched in sorted(due, key=_urgency):
+                    patient = watched.action == "log" and round_ - watched.true < LONGEST_WAIT
+                    if patient and allowance.spent:
+                        break
+                    begun = watched
+                    found.append((watched, *judged(watched.holds, known)))
+        except Overrun:
+            if begun is not None and (not found or found[-1][0] is not begun):
+                self._overran(begun, time)
+        for watched, outcome, why in found:
+            watched.due, watched.true = False, round_ - (old if watched.senses else 0)
+            if outcome == "violated" and watched.outcome != "violated":
+                why = self._told(watched, known)
+            self._become(watched, outcome, why, time)
+
+    def _overran(self, late: Watched, time: float) -> None:
+        """One that takes too long again and again is given up."""
+        late.overruns += 1
+        if late.overruns > MOST_OVERRUNS:
+            self._invariants = [w for w in self._invariants if w is not late]
+            self._assumptions = [w for w in self._assumptions if w is not late]
+            self._off.append(late)
+            self._become(late, "no value", f"it takes more than {BUDGET * self._delta * 1e3:.3g} ms: it is off", time)
+
+    def _told(self, watched: Watched, known: Known) -> str:
+        """The robots and the values that made it false."""
+        trail: Trail = []
+        assert self._found is not None
+        make = self._found.step if isinstance(watched.what, Assumption) else self._found.fleet
+        again = make(len(self._names), trail)
+        again.take(known)
+        judged(watched.holds, again)
+        return told(trail, self._names)[1]
+
+    def _become(self, watched: Watched, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
+        change = watched.become(outcome, why, self._round, time, stale)
+        if change is not None:
+            self.verdict = self._demanded()
+            self._tell(change)
+
+    def _demanded(self) -> Verdict:
+        acting = [watched for watched in self.watched if watched.acting]
+        for watched in acting:
+            if watched.action in FOR_GOOD:
+                return Verdict("rest", f"{watched.word} is violated: {watched.why}")
+        return Verdict("hold", f"{acting[0].word} is violated") if acting else GO
+
+    def report(self) -> dict[str, Any]:
+        """For the status: how many have come to what, and those that are violated."""
+        counts: dict[str, int] = {}
+        for watched in self.watched:
+            outcome = watched.outcome or "unknown"
+            counts[outcome] = counts.get(outcome, 0) + 1
+        violated = [watched.report(self._round) for watched in self.watched if watched.outcome == "violated"]
+        return {"counts": counts, "violated": violated}
+
+    def summary(self) -> tuple[bool, str]:
+        """At the robot's end: whether any was ever violated, and what all came to; "" without any."""
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in self.report()["counts"].items())
+        broken = [
+            f"{w.word}, {w.violations} times" if w.violations > 1 else w.word for w in self.watched if w.violations
+        ]
+        return bool(broken), counts + (f"; violated: {'; '.join(broken)}" if broken else "")
+
+
+def _urgency(watched: Watched) -> tuple[bool, int]:
+    return watched.action == "log", watched.true

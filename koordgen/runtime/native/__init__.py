@@ -1,0 +1,6 @@
+"""Loader of C code.
+
+Owns: compilation on the robot, the cache of libraries, the check of a library before it is used.
+Offers: `loader.load`.
+Must not import: any other room. C sources stand beside the module that binds them.
+"""

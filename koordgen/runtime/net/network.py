@@ -1,0 +1,120 @@
+"""A network in memory, on a simulated clock: seeded loss, delay, jitter, duplication and reordering."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from random import Random
+
+from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.wire import LIMIT
+from koordgen.runtime.values.clock import Clock
+
+OVERTAKEN = 0.05  # seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Of a link. Probabilities between 0 and 1; seconds. `jitter` is the most that comes, evenly random, on top of
+    `delay`; of what is reordered, and so overtaken, up to OVERTAKEN seconds more."""
+
+    loss: float = 0.0
+    delay: float = 0.001
+    jitter: float = 0.0
+    duplication: float = 0.0
+    reordering: float = 0.0
+
+    def delays(self, dice: Random) -> list[float]:
+        """How long each copy of one datagram that arrives is under way; it may be none, and two at most."""
+        found = []
+        for _ in range(2 if dice.random() < self.duplication else 1):
+            lost = dice.random() < self.loss
+            delay = self.delay + self.jitter * dice.random()
+            if self.reordering and dice.random() < self.reordering:
+                delay += OVERTAKEN * dice.random()
+            if not lost:
+                found.append(delay)
+        return found
+
+
+Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datagram
+
+
+class MemoryNetwork:
+    """Connects the transports it hands out. `conditions` are those of every link but the ones in `links`, by sender
+    and receiver; `cut` tells whether a datagram from one pid to another is lost now; with `group`, what goes to several
+    is heard by all others, as over multicast. The same seed and the same sends give the same arrivals."""
+
+    def __init__(self, clock: Clock, seed: int, conditions: Conditions = Conditions(), group: bool = False) -> None:
+        self._clock = clock
+        self._random = Random(seed)
+        self.conditions = conditions
+        self.links: dict[tuple[int, int], Conditions] = {}
+        self.cut: Callable[[int, int], bool] = lambda sender, receiver: False
+        self.group = group
+        self.sent = 0
+        self._queues: dict[int, Queue] = {}
+
+    def transport(self, pid: int) -> MemoryTransport:
+        """The transport of one robot; taking it anew drops what was under way to its predecessor."""
+        queue: Queue = []
+        self._queues[pid] = queue
+        return MemoryTransport(self, pid, queue)
+
+    def others(self, pid: int) -> list[int]:
+        return sorted(self._queues.keys() - {pid})
+
+    def send(self, sender: int, receiver: int, datagram: bytes) -> None:
+        self.sent += 1
+        now = self._clock.now()
+        for delay in self.links.get((sender, receiver), self.conditions).delays(self._random):
+            if receiver in self._queues and not self.cut(sender, receiver):
+                heapq.heappush(self._queues[receiver], (now + delay, self.sent, datagram[: LIMIT + 1]))
+
+    def arrived(self, queue: Queue) -> list[bytes]:
+        now = self._clock.now()
+        taken: list[bytes] = []
+        while queue and queue[0][0] <= now and len(taken) < MOST_AT_ONCE:
+            taken.append(heapq.heappop(queue)[2])
+        return taken
+
+    def next_arrival(self, pid: int, count: int = 1) -> float:
+        """When the next datagram has arrived at a robot, or so many have, by the network's clock."""
+        queue = self._queues.get(pid, [])
+        if len(queue) < count:
+            return float("inf")
+        return queue[0][0] if count == 1 else heapq.nsmallest(count, queue)[-1][0]
+
+    def leave(self, pid: int, queue: Queue) -> None:
+        queue.clear()
+        if self._queues.get(pid) is queue:
+            del self._queues[pid]
+
+
+class MemoryTransport:
+    """One robot's end of a MemoryNetwork."""
+
+    def __init__(self, network: MemoryNetwork, pid: int, queue: Queue) -> None:
+        self._network = network
+        self._pid = pid
+        self._queue = queue
+        self._closed = False
+        self.troubles: dict[str, int] = {}
+
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        if self._closed:
+            self.troubles["send: closed"] = self.troubles.get("send: closed", 0) + 1
+            return
+        for pid in self._network.others(self._pid) if self._network.group and len(to) > 1 else to:
+            self._network.send(self._pid, pid, datagram)
+
+    def receive(self) -> Sequence[bytes]:
+        return self._network.arrived(self._queue)
+
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
+        """Simulated time is moved by its owner, not by waiting."""
+
+    def close(self) -> None:
+        self._closed = True
+        self._network.leave(self._pid, self._queue)

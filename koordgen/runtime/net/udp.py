@@ -1,0 +1,187 @@
+"""UDP: unicast to the peer table of the settings, and groups (multicast, broadcast) for what goes to several."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+from collections.abc import Sequence
+from ipaddress import AddressValueError, IPv4Address
+from typing import cast
+
+from koordgen.runtime.config.settings import Network, Peer
+from koordgen.runtime.net.courier import GROUP, Address, CompiledInbox
+from koordgen.runtime.net.inbox import open_inbox
+from koordgen.runtime.net.transport import CannotOpen
+
+RECEIVE_BUFFER = 1 << 20
+
+
+class UnicastTransport:
+    """One socket, on the robot's own address. `native`: with the courier, where it can be compiled. Raises
+    CannotOpen."""
+
+    def __init__(
+        self,
+        peers: Sequence[Peer],
+        pid: int,
+        bind: str = "",
+        family: socket.AddressFamily = socket.AF_UNSPEC,
+        native: bool = True,
+    ) -> None:
+        own = peers[pid]
+        family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
+        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # of each place
+        self.troubles: dict[str, int] = {}
+        hosts = [address[0] for address in self._addresses.values()]
+        self._shares = hosts.count(hosts[pid]) > 1  # this computer, with other robots
+        self._native = native
+        self._sockets: list[socket.socket] = []
+        self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, where robot {own.name} listens")
+        self._open_inbox()
+
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        for pid in to:
+            if error := self._inbox.send(pid, datagram):
+                self._count("send", error)
+        if self._shares and len(to) > 1:
+            os.sched_yield()  # as after what goes to a group: see Inbox.send
+
+    @property
+    def courier(self) -> CompiledInbox | None:
+        return self._inbox if isinstance(self._inbox, CompiledInbox) else None
+
+    def place(self, to: Sequence[int]) -> int:
+        return to[0] if len(to) == 1 else -1
+
+    def failed(self, error: int) -> None:
+        self._count("send", error)
+
+    def close(self) -> None:
+        self._inbox.close()
+        self._close_sockets()
+
+    def _open_inbox(self) -> None:
+        """One for all sockets; the robot's own is the first, which it sends from."""
+        self._inbox = open_inbox(self._sockets, self._received_badly, self._native, self._shares)
+        for place, address in self._addresses.items():
+            self._inbox.address(place, address)
+        self.wait, self.receive = self._inbox.wait, self._inbox.receive
+
+    def _listen(self, family: socket.AddressFamily, address: Address, what: str, shared: bool = False) -> socket.socket:
+        """A socket that the inbox will look at; `shared`: other robots of this host listen there too."""
+        opened = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            opened.setblocking(False)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            if shared:
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            opened.bind(address)
+        except OSError as error:
+            opened.close()
+            self._close_sockets()
+            raise CannotOpen(f"{what}{_reason(error, shared)}") from None
+        self._sockets.append(opened)
+        return opened
+
+    def _close_sockets(self) -> None:
+        for each in self._sockets:
+            each.close()
+        self._sockets = []
+
+    def _received_badly(self, number: int) -> None:
+        self._count("receive", number)
+
+    def _count(self, what: str, number: int) -> None:
+        reason = f"{what}: {errno.errorcode.get(number, 'error')}"
+        self.troubles[reason] = self.troubles.get(reason, 0) + 1
+
+
+class GroupTransport(UnicastTransport):
+    """What goes to several goes once, to a multicast group (which it does not leave the local network for) or a
+    broadcast address, on a port that all robots share; what goes to one goes to it alone. Robots of one host hear each
+    other too, and a robot's own datagrams, which come back to it, are dropped. IPv4 only. Raises CannotOpen."""
+
+    def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network, native: bool = True) -> None:
+        multicast = network.transport == "multicast"
+        place = f"{network.group}:{network.port}, the {network.transport} group of robot {peers[pid].name}"
+        _check_group(network, place)
+        super().__init__(peers, pid, bind, socket.AF_INET, native)
+        self._group = self._addresses[GROUP] = (network.group, network.port)
+        group = self._listen(socket.AF_INET, self._group, place, shared=True)
+        try:
+            if multicast:
+                self._join(group, network.interface or self._own.getsockname()[0])
+            else:
+                self._own.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        except OSError as error:
+            self.close()
+            raise CannotOpen(
+                f"{place}: {error.strerror or error}: set `interface` to the address or name of the network interface "
+                "that leads to the other robots"
+            ) from None
+        self._open_inbox()
+
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        if len(to) <= 1:
+            super().send(to, datagram)
+        elif error := self._inbox.send(GROUP, datagram):
+            self._count("send", error)
+
+    def place(self, to: Sequence[int]) -> int:
+        return GROUP if len(to) > 1 else super().place(to)
+
+    def _join(self, group: socket.socket, interface: str) -> None:
+        """Listen and send on one interface, given by its address or its name. Raises OSError."""
+        try:
+            address, index = IPv4Address(interface), 0
+        except AddressValueError:
+            address, index = IPv4Address(0), socket.if_nametoindex(interface)
+        group.setsockopt(
+            socket.IPPROTO_IP,
+            socket.IP_ADD_MEMBERSHIP,
+            struct.pack("4s4si", IPv4Address(self._group[0]).packed, address.packed, index),
+        )
+        own = self._own
+        own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, struct.pack("4s4si", bytes(4), address.packed, index))
+        own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
+        own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+
+
+def _check_group(network: Network, place: str) -> None:
+    try:
+        address = IPv4Address(network.group)
+    except AddressValueError:
+        raise CannotOpen(f"{place}: not an IPv4 address") from None
+    if network.transport == "multicast" and not address.is_multicast:
+        raise CannotOpen(f"{place}: not a multicast address, which are 224.0.0.0 to 239.255.255.255")
+    if network.transport == "broadcast" and address.is_multicast:
+        raise CannotOpen(f"{place}: a multicast address: set `transport` to multicast")
+    if not 1 <= network.port <= 65535:
+        raise CannotOpen(f"{place}: not a port, which are 1 to 65535")
+
+
+def _reason(error: OSError, shared: bool) -> str:
+    """Why a socket could not be bound, and the way out."""
+    if error.errno == errno.EADDRINUSE:
+        if shared:
+            return ", is in use by something else: set another `port` for all robots"
+        return ", is in use: does the robot's program run already?"
+    if error.errno == errno.EADDRNOTAVAIL:
+        if shared:
+            return ", is no broadcast address of a network of this host: `ip address` lists them behind `brd`"
+        return ", is no address of this host: set `bind` in its settings"
+    return f": {error.strerror or error}"
+
+
+def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFamily, Address]:
+    """Its address, once for all: a name server that fails later is of no concern."""
+    if not 1 <= peer.port <= 65535:
+        raise CannotOpen(f"robot {peer.name}: {peer.host}:{peer.port} is no address: ports are 1 to 65535")
+    try:
+        found = socket.getaddrinfo(peer.host, peer.port, family=family, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise CannotOpen(f"robot {peer.name}: no address for {peer.host}:{peer.port}: {error}") from None
+    actual, _, _, _, address = found[0]
+    return actual, cast(Address, address)

@@ -1,0 +1,190 @@
+"""An agent's control port: whether somebody who has the fleet's key wants an emergency stop, and how the robot does."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from hashlib import blake2s
+from hmac import compare_digest
+from typing import Any, Protocol
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.orders import (
+    CHALLENGE_LIFE,
+    LONG,
+    PIECE,
+    Ask,
+    AskStatus,
+    Offer,
+    Order,
+    StatusPart,
+    Stop,
+    Stopped,
+    decode,
+    encode,
+)
+
+MOST_AT_ONCE = 256  # datagrams in one poll: a flood costs about a millisecond and no more
+LINGER = 1.0  # seconds after a stop for which its asker may still be waiting for the answer
+MOST_ASKERS = 4  # for the status at one time
+
+Report = Callable[[], Mapping[str, Any]]
+
+
+class Datagrams(Protocol):
+    """A socket that never blocks and never raises."""
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        """The next datagram and its sender's address."""
+        ...
+
+    def send(self, datagram: bytes, address: Any) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class ControlSocket:
+    """UDP at the robot's control port. Raises CannotOpen."""
+
+    def __init__(self, settings: Settings) -> None:
+        family, address = address_of(settings)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind(address)
+        except OSError as error:
+            self._socket.close()
+            raise CannotOpen(
+                f"{address[0]}:{address[1]}, where robot {settings.robot} takes orders: {error.strerror or error}; "
+                "set another `control` port for it, in the fleet file or in its settings"
+            ) from None
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        for _ in range(2):  # an error is an earlier answer's echo (ECONNREFUSED), nothing about what waits
+            try:
+                return self._socket.recvfrom(LONG + 1)
+            except BlockingIOError:
+                return None
+            except OSError:
+                continue
+        return None
+
+    def send(self, datagram: bytes, address: Any) -> None:
+        with suppress(OSError):
+            self._socket.sendto(datagram, address)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Control:
+    """`poll` it in every turn of the agent's loop. `secret` is 32 random bytes, new for every start of the process.
+    `rejected` counts by reason what was not listened to. Nothing is acted on before its MAC was found right; each
+    genuine question is answered at most once, by a datagram that is not longer."""
+
+    def __init__(self, sockets: Datagrams, settings: Settings, key: bytes | None, secret: bytes) -> None:
+        self.rejected: dict[str, int] = {}
+        self._sockets = sockets
+        self._application = settings.application_id
+        self._pid = settings.pid
+        self._robot = settings.robot
+        self._key = key
+        self._secret = secret
+        self._stopped_at: float | None = None
+        self._status: dict[bytes, bytes] = {}  # what the newest askers are told, by their nonces
+
+    @staticmethod
+    def open(settings: Settings, key: bytes | None) -> Control:
+        """On the robot's control port. Raises CannotOpen."""
+        return Control(ControlSocket(settings), settings, key, os.urandom(32))
+
+    def poll(self, now: float, phase: str, report: Report) -> bool:
+        """Take what has arrived at local time `now`, at most MOST_AT_ONCE datagrams; whether a stop was ever wanted.
+        `phase` is the agent's, `report` makes its status and is called at most once. Never blocks, never raises."""
+        reported = False
+        for _ in range(MOST_AT_ONCE):
+            arrived = self._sockets.receive()
+            if arrived is None:
+                break
+            datagram, address = arrived
+            answer: Order | str
+            match decode(datagram, self._key):
+                case str() as reason:
+                    answer = reason
+                case Ask(application) | AskStatus(application) if application != self._application:
+                    answer = "another application"
+                case Ask(_, nonce):
+                    answer = Offer(nonce, self._pid, self._challenge(now), self._robot)
+                case Stop(nonce, challenge):
+                    answer = self._stop(nonce, challenge, phase, now)
+                case AskStatus(_, _, challenge, _) if flaw := self._flaw(challenge, now):
+                    answer = flaw
+                case AskStatus(_, nonce, _, part):
+                    new = nonce not in self._status
+                    answer = "too many questions" if new and reported else self._part(nonce, part, report)
+                    reported = reported or new
+                case _:
+                    answer = "an answer to nobody"
+            if isinstance(answer, str):
+                self.rejected[answer] = self.rejected.get(answer, 0) + 1
+            else:
+                self._sockets.send(encode(answer, self._key), address)
+        return self._stopped_at is not None
+
+    def lingers(self, now: float) -> bool:
+        """Whether the asker of a stop may still wait for its answer: the process should not end yet."""
+        return self._stopped_at is not None and now - self._stopped_at < LINGER
+
+    def close(self) -> None:
+        self._sockets.close()
+
+    def _challenge(self, now: float) -> bytes:
+        return self._signed(max(0, int(now * 1e6)).to_bytes(8, "big"))
+
+    def _signed(self, issued: bytes) -> bytes:
+        return issued + blake2s(issued, digest_size=16, key=self._secret).digest()
+
+    def _flaw(self, challenge: bytes, now: float) -> str:
+        """Return why a challenge is refused; empty for one that this process offered lately."""
+        if not compare_digest(self._signed(challenge[:8]), challenge):
+            return "not our challenge"
+        if now - int.from_bytes(challenge[:8], "big") / 1e6 > CHALLENGE_LIFE:
+            return "an old challenge"
+        return ""
+
+    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
+        """The first one counts; the robot then ends, so later ones can be but repeats and are only answered."""
+        if flaw := self._flaw(challenge, now):
+            return flaw
+        if self._stopped_at is None:
+            self._stopped_at = now
+        return Stopped(nonce, self._pid, phase if phase in ("resting", "rested") else "resting")
+
+    def _part(self, nonce: bytes, part: int, report: Report) -> StatusPart | str:
+        if nonce not in self._status:
+            try:
+                self._status[nonce] = json.dumps(report()).encode()
+            except Exception:  # a question must not bring down the robot that is asked
+                return "no report can be made"
+            if len(self._status) > MOST_ASKERS:
+                del self._status[next(iter(self._status))]
+        text = self._status[nonce]
+        parts = -(-len(text) // PIECE)
+        if part >= parts:
+            return "no such part"
+        return StatusPart(nonce, part, parts, text[part * PIECE : (part + 1) * PIECE])
+
+
+def address_of(settings: Settings) -> tuple[socket.AddressFamily, tuple[str, int]]:
+    """Where the robot takes orders. Raises CannotOpen."""
+    host = settings.bind or settings.peers[settings.pid].host
+    try:
+        found = socket.getaddrinfo(host, settings.control_port, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError, OverflowError) as error:
+        raise CannotOpen(f"robot {settings.robot}: no address for {host}: {error}") from None
+    family, _, _, _, address = found[0]
+    return family, (str(address[0]), int(address[1]))

@@ -1,0 +1,195 @@
+"""`--doctor` and `--check`: what the surroundings of a robot are like before a mission, from its files to its body.
+Nothing moves."""
+
+from __future__ import annotations
+
+import ipaddress
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from pathlib import Path
+
+from koordgen.runtime.config.settings import BadSettings, Peer, Settings
+from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net.layout import Layout, TooLarge
+from koordgen.runtime.net.seal import BadKey
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.control import Control
+from koordgen.runtime.ops.host import Clocks, disk, host
+from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.trace.parts import MEGABYTE, size_of
+from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
+from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
+
+LOOKUP = 3.0  # seconds within which all names must have been found
+
+PlatformType = Callable[[Settings, bytes | None], Platform]
+
+
+def examine(
+    program: Program, root: Path, overrides: Path | None, pid: int | None, platform_type: PlatformType, drivers: Drivers
+) -> Generator[Finding, None, None]:
+    """What is found, as it is found; what fails may keep us from looking at what builds on it. Close the iterator to
+    end early: it gives back what it opened."""
+    clocks = Clocks()
+    yield from host(root)
+    try:
+        settings = open_settings(root, overrides, pid)
+    except BadSettings as error:
+        yield Finding("settings", "fail", str(error))
+        return
+    yield Finding(
+        "settings",
+        "ok",
+        f"robot {settings.robot}, pid {settings.pid} of {len(settings.peers)}, delta {settings.delta} s",
+    )
+    yield _program(program, settings)
+    yield _compiled()
+    if settings.state is not None:
+        yield disk(root.resolve().parent / settings.state)
+    if settings.trace is not None:
+        yield _trace(Path(settings.trace).resolve(), settings.trace_limit)
+    key, found = _key(settings)
+    yield found
+    yield from _network(settings, key)
+    yield from _body(settings, key, program, platform_type, drivers)
+    yield clocks.finding()
+
+
+def _trace(path: Path, limit: float | None) -> Finding:
+    """Return whether the trace reaches its limit before the disk is full."""
+    try:
+        free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
+    except OSError as error:
+        return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace there")
+    told = f"{free:.0f} MB free in {path.parent}"
+    if limit is None:
+        return Finding("trace", "warn", f"{told}, no limit", why="the trace fills the disk: set `trace_limit`")
+    told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
+    if free < limit - used:
+        why = "the disk is full before the trace is: make room, or set a lower `trace_limit`"
+        return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
+    return Finding("trace", "ok", told)
+
+
+def _program(program: Program, settings: Settings) -> Finding:
+    try:
+        Layout(program.shared, len(settings.peers))
+        if program.library is not None:
+            program.library.load()
+    except (TooLarge, BadExtern) as error:
+        return Finding("program", "fail", str(error))
+    release = f", release {settings.release}" if settings.release else ""
+    return Finding(
+        "program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}{release}"
+    )
+
+
+def _compiled() -> Finding:
+    """The C code of the shared memory is compiled here and kept, so that the first mission does not wait for it."""
+    began = time.perf_counter()
+    reasons = courier.COMPILED.why(), gate.COMPILED.why()
+    took = 1e3 * (time.perf_counter() - began)
+    if any(reasons):
+        why = "all works, and updates take longer to arrive: install a C compiler (`apt install gcc`)"
+        return Finding("compiled", "warn", reasons[0] or reasons[1], "courier and gate as C", why)
+    return Finding("compiled", "ok", f"courier and gate as C, loaded in {took:.0f} ms")
+
+
+def _key(settings: Settings) -> tuple[bytes | None, Finding]:
+    """A key that cannot be used keeps nobody from looking at the rest; feeds are not authentic without it."""
+    try:
+        key = open_key(settings)
+    except (BadKey, BadSettings) as error:
+        return None, Finding("key", "fail", str(error))
+    if key is None:
+        why = "anyone on this network can drive this robot: make a key with `koordgen key new`"
+        return None, Finding("key", "warn", "INSECURE: there is none", "a key", why)
+    return key, Finding("key", "ok", f"{settings.key_file}, {len(key)} bytes, readable by its owner alone")
+
+
+def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
+    missing = unknown(settings.peers, LOOKUP)
+    if missing:
+        hint = "is the name server there? Write IP addresses into the fleet file, or names into /etc/hosts"
+        yield Finding("peers", "fail", f"no address for {', '.join(missing)}", why=hint)
+    elif all(is_loopback(peer.host) for peer in settings.peers):
+        hosts = ", ".join(sorted({peer.host for peer in settings.peers}))
+        why = "agents on several computers cannot hear one another, and no other computer can stop them: write each "
+        why += "robot's own address into the fleet file, and build again. Right only where all agents run on this host"
+        yield Finding(
+            "peers", "warn", f"all {len(settings.peers)} robots are at {hosts}", "addresses in a network", why
+        )
+    else:
+        yield Finding("peers", "ok", f"all {len(settings.peers)} have addresses")
+    own, network = settings.peers[settings.pid], settings.network
+    place = settings.bind or own.host
+    if not missing:  # or it would be told again
+        told = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
+        if network.transport == "zenoh":
+            told = f"zenoh opens as {network.mode}"
+        yield _opens("port", told, lambda: open_transport(settings).close())
+    told = f"{place}:{settings.control_port} is free: emergency stop and --status"
+    yield _opens("control", told, lambda: Control.open(settings, key).close())
+
+
+def _opens(name: str, told: str, open_and_close: Callable[[], None]) -> Finding:
+    try:
+        open_and_close()
+    except CannotOpen as error:
+        return Finding(name, "fail", str(error))
+    return Finding(name, "ok", told)
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host name or IP address is this host's own, which no other computer reaches."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower().rstrip(".") in ("localhost", "ip6-localhost", "ip6-loopback")
+
+
+def unknown(peers: Sequence[Peer], seconds: float) -> list[str]:
+    """The hosts for which no address is found in time; all are looked up at once."""
+    waiting = {peer.host for peer in peers}
+
+    def look_up(host: str) -> None:
+        try:
+            socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError):
+            return
+        waiting.discard(host)
+
+    threads = [threading.Thread(target=look_up, args=(host,), daemon=True) for host in sorted(waiting)]
+    for thread in threads:
+        thread.start()
+    end = time.monotonic() + seconds
+    for thread in threads:
+        thread.join(max(0.0, end - time.monotonic()))
+    return sorted(waiting)
+
+
+def _body(
+    settings: Settings, key: bytes | None, program: Program, platform_type: PlatformType, drivers: Drivers
+) -> Iterator[Finding]:
+    try:
+        platform = platform_type(settings, key)
+    except BadSettings as error:
+        yield Finding("body", "fail", str(error))
+        return
+    except Unready as error:
+        yield Finding.of("body", error)
+        return
+    try:
+        platform = with_drivers(platform, program, drivers)
+    except Unready as error:
+        yield Finding.of("drivers", error)
+        return
+    try:
+        yield from platform.diagnose()
+    finally:
+        platform.close()

@@ -1,0 +1,88 @@
+"""How findings are told: a table for a terminal as narrow as a phone's, one JSON document, or in short."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Literal
+
+from koordgen.runtime.ops.host import host, install_requirements
+from koordgen.runtime.vehicle.platform import Finding
+
+OK, WRONG, SURROUNDINGS = 0, 1, 5
+# What is the user's own to set right: the files that were built and copied. All else are the surroundings.
+OWN = ("files", "settings", "key", "program", "body")
+NARROWEST, WIDEST = 40, 100
+_NAME = 10
+_INDENT = " " * (_NAME + 7)
+Form = Literal["text", "json"]
+
+
+def status(findings: Iterable[Finding]) -> int:
+    """The exit status: 0 when nothing fails, 1 when files are wrong, 5 when the surroundings are."""
+    failed = {finding.name for finding in findings if finding.state == "fail"}
+    return OK if not failed else WRONG if failed & set(OWN) else SURROUNDINGS
+
+
+def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
+    """Print all findings on standard output, as they come or as one document. Returns the exit status."""
+    width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns))
+    told = []
+    for finding in findings:
+        told.append(finding)
+        if form == "text":
+            print(row(finding, width), flush=True)
+    result = status(told)
+    if form == "json":
+        print(json.dumps({"app": app, "status": result, "findings": [asdict(f) for f in told]}, indent=2))
+    else:
+        failed, doubtful = (sum(f.state == state for f in told) for state in ("fail", "warn"))
+        print(f"{len(told)} looked at: {failed} failed, {doubtful} to be warned of")
+    return result
+
+
+def row(finding: Finding, width: int) -> str:
+    """One finding as lines of at most `width` characters, where its words are not longer."""
+    lines = [f"{finding.state.upper() if finding.state == 'fail' else finding.state:<5} {finding.name:<{_NAME}} "]
+    lines[0] += finding.found
+    if finding.state != "ok":
+        lines += [f"{_INDENT}wanted: {finding.wanted}"] * bool(finding.wanted)
+        lines += [f"{_INDENT}{finding.why}"] * bool(finding.why)
+    wrapper = textwrap.TextWrapper(
+        width, subsequent_indent=_INDENT, break_on_hyphens=False, break_long_words=False, drop_whitespace=True
+    )
+    return "\n".join(wrapper.fill(line) for line in lines)
+
+
+def tell_shortly(findings: Iterable[Finding]) -> int:
+    """What is right, a line each, and what is doubtful, up to the first that fails. Returns the exit status."""
+    for finding in findings:
+        if finding.state == "fail":
+            print(f"error: {_whole(finding)}", file=sys.stderr)
+            return status([finding])
+        if finding.state == "warn":
+            print(f"warning: {_whole(finding)}", file=sys.stderr)
+        else:
+            print(f"{finding.name:<{_NAME}} {finding.found}", flush=True)
+    return OK
+
+
+def _whole(finding: Finding) -> str:
+    wanted = f"; wanted: {finding.wanted}" if finding.wanted else ""
+    hint = f"\n  help: {finding.why}" if finding.why else ""
+    return f"{finding.name}: {finding.found}{wanted}{hint}"
+
+
+def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
+    """For a bundle that cannot even be imported: what can be told, all of it for `--doctor`. Returns the status."""
+    install = install_requirements(root)
+    what = f"the Python package {error.name!r} is missing or does not load: {error}"
+    found = [*host(root), Finding("import", "fail", what, why=install)]
+    if "--doctor" in argv:
+        return tell(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
+    return tell_shortly(found[-1:])

@@ -1,0 +1,193 @@
+"""What a robot tells: lines for people, its trace, its metrics and its monitors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from koordgen.runtime.net.fleet_clock import FleetClock
+from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.wire import View
+from koordgen.runtime.ops.recent import Recent
+from koordgen.runtime.program.program import Calls, Effects, Life
+from koordgen.runtime.replication.views import described
+from koordgen.runtime.trace.watched import FOR_GOOD, Change
+from koordgen.runtime.trace.writer import Observe, Record, Trace
+from koordgen.runtime.values.clock import Clock
+from koordgen.runtime.vehicle.stall import State
+
+_ACTING = {"off": "", "log": "", "hold": "; the robot holds", "land": "; it lands", "stop": "; it comes to rest"}
+_STALLED: dict[State, str] = {
+    "begins": "no way for {:.0f} s",
+    "goes on": "still no way after {:.0f} s",
+    "ends": "the stall is over after {:.0f} s",
+}
+MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
+MOST_UNTOLD = 8  # records of rounds that wait to be told
+METRICS_EVERY = 10.0  # seconds between two of them in the trace
+
+T = TypeVar("T")
+Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
+
+
+class Journal:
+    """`round` is the present one, for the lines; `monitors` get each round's record, and are off once they fail."""
+
+    def __init__(
+        self,
+        robot: str,
+        trace: Trace,
+        emit: Emit,
+        clock: Clock,
+        fleet_clock: FleetClock,
+        metrics: Metrics,
+        monitors: Sequence[Observe],
+    ) -> None:
+        self._robot = robot
+        self._trace = trace
+        self._emit = emit
+        self._clock = clock
+        self._fleet_clock = fleet_clock
+        self._metrics = metrics
+        self._monitors = list(monitors)
+        self._changes: dict[str, tuple[float, int]] = {}  # of properties: since when, how many
+        self._counted: Mapping[str, int] = {}
+        self._faulty = ""
+        self._phase = ""
+        self._said = ""
+        self._last = ""  # line
+        self._measured = 0.0
+        self.recent = Recent()
+        self.untold: list[Record] = []  # of rounds that have become certain
+        self.round = 0
+
+    def phase(self, phase: str, detail: str) -> None:
+        """Another phase begins. Where the line before tells why, that is not told again."""
+        self._phase, self._said = phase, ""
+        self._trace.phase(self._clock.now(), phase, detail)
+        self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
+
+    def progress(self, text: str) -> None:
+        """What the robot waits for or does; the same is told once."""
+        if text and text != self._said:
+            self._said = text
+            self._trace.phase(self._clock.now(), self._phase, text)
+            self._line("info", text)
+
+    def log(self, level: str, text: str) -> None:
+        self._trace.log(self._clock.now(), level, text)
+        self._line(level, text)
+
+    def warn(self, text: str) -> None:
+        self.log("warning", text)
+
+    def error(self, text: str) -> None:
+        self.log("error", text)
+
+    def stall(self, state: State, why: str, lasted: float) -> None:
+        """The body has had no way for `lasted` seconds, or has one again."""
+        self._trace.stall(self._clock.now(), state, why, lasted)
+        self.warn(f"{_STALLED[state].format(lasted)}: {why}")
+
+    def monitor(self, change: Change) -> None:
+        """A property has come to another outcome. People are told unless that is its first and as it should be, and of
+        one that goes to and fro not each time."""
+        self._trace.monitor(change)
+        since, count = self._changes.get(change.word, (-math.inf, 0))
+        if change.time - since > OFTEN:
+            since, count = change.time, 0
+        self._changes[change.word] = since, count + 1
+        ends = change.outcome == "violated" and change.action in FOR_GOOD
+        if count >= MOST_CHANGES and not ends:
+            return
+        if change.outcome == "violated":
+            text = f"{change.word} is violated: {change.why}{_ACTING[change.action]}"
+            self._line("error" if ends else "warning", text)
+        elif change.before is not None:
+            self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
+
+    def judged(self, violated: bool, summary: str) -> None:
+        """What the robot's monitors have come to, at its end."""
+        if summary:
+            self.log("warning" if violated else "info", f"properties: {summary}")
+
+    def watch(self, monitor: Observe) -> None:
+        """One more that gets each round's record."""
+        self._monitors.append(monitor)
+
+    def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
+        """What the program has to say in a round; 0 is `init`. A stream is served by every agent."""
+        for port, text in lines:
+            self._trace.stream(time, round_, port, text)
+            self._line("info", f"{port}: {text}")
+
+    def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
+        """`init` has run."""
+        self._trace.init(time, sensors, effects, after, calls)
+        self.recent.wrote(0, effects.shared)
+        self.streams(effects.streams, 0, time)
+
+    def view(self, view: View, names: Sequence[str], over: bool) -> None:
+        """Another view decides who counts; at the mission's beginning all do. Once this robot's part is `over`, it is
+        normal that others end and no longer count."""
+        self._trace.view(self._clock.now(), view.number, view.since, view.members)
+        if view.number:
+            self.log("info" if over else "warning", described(view, names))
+
+    @property
+    def traces(self) -> bool:
+        """Whether counters go anywhere."""
+        return self._trace.open
+
+    @property
+    def full(self) -> bool:
+        """Whether what is untold can wait no longer."""
+        return len(self.untold) >= MOST_UNTOLD
+
+    def tell(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
+        """Tell of all records that wait to be told, and put the metrics into the trace, if it is time."""
+        for record in self.untold:
+            self.observe(record, counters)
+        self.measure(rejected, self.untold[-1].time)
+        self.untold.clear()
+
+    def observe(self, record: Record, counters: Mapping[str, int]) -> None:
+        """A round's record, now that it is certain; `counters` is everything counted so far, if it `traces`."""
+        if self._trace.open:
+            changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
+            self._counted = counters
+            self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        if record.effects is not None:
+            self.streams(record.effects.streams, record.round, record.time)
+        fault = str(record.fault) if record.fault is not None else ""
+        if fault and fault != self._faulty:
+            self.error(f"{fault}; the event is discarded, the robot holds")
+        self._faulty = fault
+        self._metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
+        self.recent.round(record)
+        for monitor in tuple(self._monitors):
+            if not self.attempt(monitor, record):
+                self._monitors.remove(monitor)
+
+    def attempt(self, monitor: Callable[[T], None], seen: T) -> bool:
+        """Let a monitor look at something; what it raises is told and brings nobody down."""
+        try:
+            monitor(seen)
+        except Exception as error:
+            self.error(f"a monitor failed and is off: {type(error).__name__}: {error}")
+            return False
+        return True
+
+    def measure(self, rejected: Mapping[str, int], now: float, at_once: bool = False) -> None:
+        """Put the metrics into the trace, if it is time."""
+        if at_once or now - self._measured >= METRICS_EVERY:
+            self._measured = now
+            self._trace.metrics(now, self._metrics.snapshot(now, rejected))
+
+    def _line(self, level: str, text: str) -> None:
+        self._last = text
+        now = self._clock.now()
+        self.recent.line(now, self.round, level, text)
+        time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
+        self._emit(level, f"{time} round {self.round} {self._robot}: {level}: {text}")

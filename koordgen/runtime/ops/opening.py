@@ -1,0 +1,53 @@
+"""Opens what a bundle's folder and its settings name: the settings themselves, the key, the transport."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from koordgen.runtime.config.settings import BadSettings, Settings, load
+from koordgen.runtime.net.seal import load_key
+from koordgen.runtime.net.transport import CannotOpen, Transport
+from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
+
+
+def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
+    """The settings in a bundle's folder, laid over by others and by a pid; or the others alone. Raises BadSettings."""
+    path = root / "settings.json"
+    if path.exists():
+        return load(path, overrides, pid)
+    if overrides is not None:
+        return load(overrides, None, pid)
+    raise BadSettings(
+        f"{path}: not there: this bundle was built without a fleet file; build it with "
+        "`koordgen build ... --fleet FILE`, or say `--settings FILE`"
+    )
+
+
+def open_key(settings: Settings) -> bytes | None:
+    """The fleet's key, None when the settings say that there is none. Raises BadKey, and BadSettings when they say
+    nothing."""
+    if settings.key_file is not None:
+        return load_key(Path(settings.key_file))
+    if not settings.insecure:
+        raise BadSettings("no key_file; a fleet without a key must say so: `insecure: true`")
+    return None
+
+
+def open_transport(settings: Settings, native: bool = True) -> Transport:
+    """The transport that the settings name; the optional package is imported only for its own. `native`: with the
+    courier, where it can be compiled. Raises CannotOpen."""
+    network = settings.network
+    if network.transport == "unicast":
+        return UnicastTransport(settings.peers, settings.pid, settings.bind, native=native)
+    if network.transport != "zenoh":
+        return GroupTransport(settings.peers, settings.pid, settings.bind, network, native)
+    try:
+        from koordgen.runtime.net.zenoh_transport import ZenohTransport
+    except ImportError as error:
+        from koordgen.runtime.ops.host import pip_install
+
+        install = pip_install("'eclipse-zenoh>=1.10'")
+        raise CannotOpen(
+            f"robot {settings.robot}: transport zenoh needs a package that does not load ({error}): {install}"
+        ) from None
+    return ZenohTransport(settings)

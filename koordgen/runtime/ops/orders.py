@@ -1,0 +1,159 @@
+"""Datagrams of the control port, by which people talk to agents: emergency stop and status, sealed and fresh.
+
+A datagram is one byte `ORDER_FORMAT`, one of its kind, fields of fixed places, zeros up to its length, and the MAC of
+`seal`. Nothing here needs more than Python itself: a stop must work from any computer that has the key.
+
+To stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. For the status: Ask -> Offer -> AskStatus
+with that challenge -> StatusPart. Only the agent that made a challenge takes it, for CHALLENGE_LIFE seconds, and its
+secret dies with its process: a recorded Stop stops nobody, and a recorded AskStatus learns nothing. The nonce in every
+answer is the asker's, drawn anew for each call, so no recorded answer is believed either.
+
+The formats of Ask, Offer, Stop and Stopped stay as they are: a new koordgen must be able to stop an old agent.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, seal, unseal
+
+ORDER_FORMAT = 1
+# bytes of a sealed datagram: all that asks are as long as their answers, so nobody is flooded through an agent
+SHORT = 96
+LONG = 1200  # of an AskStatus and at most of its answer
+NONCE = 8
+CHALLENGE = 24
+CHALLENGE_LIFE = 10.0  # seconds
+_NAME = 32  # bytes of a robot's name or phase
+_PART = struct.Struct("!BB8sHH")
+PIECE = LONG - MAC_SIZE - _PART.size  # bytes of a status in one datagram
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Who are you, and by which challenge can I stop you?"""
+
+    application: int
+    nonce: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    nonce: bytes
+    pid: int
+    challenge: bytes
+    robot: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    nonce: bytes
+    challenge: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The agent has begun its safe end, or is past it: `phase` says how far it is."""
+
+    nonce: bytes
+    pid: int
+    phase: str
+
+
+@dataclass(frozen=True, slots=True)
+class AskStatus:
+    """The status is cut into pieces; this asks for one. All pieces of one nonce are of one moment."""
+
+    application: int
+    nonce: bytes
+    challenge: bytes
+    part: int
+
+
+@dataclass(frozen=True, slots=True)
+class StatusPart:
+    nonce: bytes
+    part: int
+    parts: int
+    data: bytes  # of a JSON text
+
+
+Order = Ask | Offer | Stop | Stopped | AskStatus | StatusPart
+
+_ASK = struct.Struct("!BBH8s")
+_OFFER = struct.Struct(f"!BB8sB{CHALLENGE}s{_NAME}s")
+_STOP = struct.Struct(f"!BB8s{CHALLENGE}s")
+_STOPPED = struct.Struct(f"!BB8sB{_NAME}s")
+_ASK_STATUS = struct.Struct(f"!BBH8s{CHALLENGE}sH")
+_KIND_OF_ASK_STATUS = 6  # 4 was one without a challenge
+
+
+def encode(order: Order, key: bytes | None) -> bytes:
+    """A sealed datagram."""
+    f = ORDER_FORMAT
+    length = SHORT
+    match order:
+        case Ask(application, nonce):
+            payload = _ASK.pack(f, 0, application, nonce)
+        case Offer(nonce, pid, challenge, robot):
+            payload = _OFFER.pack(f, 1, nonce, pid, challenge, _cut(robot))
+        case Stop(nonce, challenge):
+            payload = _STOP.pack(f, 2, nonce, challenge)
+        case Stopped(nonce, pid, phase):
+            payload = _STOPPED.pack(f, 3, nonce, pid, _cut(phase))
+        case AskStatus(application, nonce, challenge, part):
+            payload = _ASK_STATUS.pack(f, _KIND_OF_ASK_STATUS, application, nonce, challenge, part)
+            length = LONG
+        case StatusPart(nonce, part, parts, data):
+            payload, length = _PART.pack(f, 5, nonce, part, parts) + data, 0
+    return seal(key, CONTROL, payload.ljust(length - MAC_SIZE, b"\0"))
+
+
+def decode(datagram: bytes, key: bytes | None) -> Order | str:
+    """The order, or why there is none. Nothing is looked at before the MAC was found right. Never raises."""
+    if len(datagram) > LONG:
+        return "oversize"
+    payload = unseal(key, CONTROL, datagram)
+    if payload is None:
+        return "not authentic"
+    if payload[0] != ORDER_FORMAT:
+        return "another format version"
+    kind = payload[1] if len(payload) > 1 else -1
+    if kind == 5:
+        if len(payload) < _PART.size:
+            return "malformed"
+        _, _, nonce, part, parts = _PART.unpack_from(payload)
+        return StatusPart(nonce, part, parts, payload[_PART.size :])
+    reader = _READERS.get(kind)
+    if reader is None or len(datagram) != (LONG if kind == _KIND_OF_ASK_STATUS else SHORT):
+        return "malformed"
+    return reader(payload)
+
+
+def _cut(text: str) -> bytes:
+    return text.encode("utf-8", "replace")[:_NAME]
+
+
+def _text(raw: bytes) -> str:
+    return raw.rstrip(b"\0").decode("utf-8", "replace")
+
+
+def _offer(payload: bytes) -> Offer:
+    _, _, nonce, pid, challenge, robot = _OFFER.unpack_from(payload)
+    return Offer(nonce, pid, challenge, _text(robot))
+
+
+def _stopped(payload: bytes) -> Stopped:
+    _, _, nonce, pid, phase = _STOPPED.unpack_from(payload)
+    return Stopped(nonce, pid, _text(phase))
+
+
+_READERS: dict[int, Callable[[bytes], Order]] = {
+    0: lambda payload: Ask(*_ASK.unpack_from(payload)[2:]),
+    1: _offer,
+    2: lambda payload: Stop(*_STOP.unpack_from(payload)[2:]),
+    3: _stopped,
+    _KIND_OF_ASK_STATUS: lambda payload: AskStatus(*_ASK_STATUS.unpack_from(payload)[2:]),
+}

@@ -1,0 +1,116 @@
+"""Recent history of one robot, for the report of its control port: log lines, outcomes of rounds, shared writes.
+
+All of it is bounded, each note costs O(1), and nothing is encoded before somebody asks. Lines are numbered from 1 and
+rounds by their own numbers, so that an asker merges successive reports without doubles.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.trace.writer import Record
+
+MOST_LINES, LONGEST_LINE, LINES_BYTES = 32, 200, 2500
+MOST_ROUNDS, LONGEST_OUTCOME, ROUNDS_BYTES = 64, 100, 2000
+LONGEST_VALUE, VALUES_BYTES = 300, 2000  # bytes of JSON
+MOST_POINTS = 32
+
+_encoder = msgspec.json.Encoder(enc_hook=repr)
+Line = tuple[int, float, int, str, str]  # number, local time (s), round, level, text
+Outcome = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's tick
+
+
+class Recent:
+    """The last lines and rounds of a robot, and the last value that it wrote into each shared variable."""
+
+    def __init__(self) -> None:
+        self._lines: deque[Line] = deque(maxlen=MOST_LINES)
+        self._rounds: deque[Outcome] = deque(maxlen=MOST_ROUNDS)
+        self._written: dict[str, tuple[int, Any]] = {}
+        self._count = 0
+        self._decided = 0.0  # when the last of the rounds was decided
+
+    def line(self, time: float, round_: int, level: str, text: str) -> None:
+        """Note a log line."""
+        self._count += 1
+        self._lines.append((self._count, time, round_, level, text[:LONGEST_LINE]))
+
+    def round(self, record: Record) -> None:
+        """Note the outcome of a round, and what its event wrote into shared variables."""
+        if record.fault is not None:
+            outcome, detail = "fault", str(record.fault)
+        elif record.skipped is not None:
+            outcome, detail = "skipped", record.skipped
+        else:
+            outcome, detail = "event", record.event or ""
+        self._rounds.append((record.round, outcome, detail[:LONGEST_OUTCOME], record.late))
+        self._decided = record.time
+        if record.effects is not None:
+            self.wrote(record.round, record.effects.shared)
+
+    def wrote(self, round_: int, values: Mapping[str, Any]) -> None:
+        """Note what an event of that round, or `init` (round 0), wrote into shared variables."""
+        for name, value in values.items():
+            self._written[name] = round_, value
+
+    def report(self, now: float, kinds: Mapping[str, str]) -> dict[str, Any]:
+        """Plain values. Times are ages in seconds at local time `now`; `kinds` are those of the shared variables.
+
+        `lines`: [number, age, round, level, text]. `outcomes`: runs of equal outcomes, [first round, rounds, outcome,
+        detail, lateness of each (ms)]; `decided`: the age of the last. `shared`: [name, kind, round, value]; of a long
+        value {"cut": the beginning of its JSON}."""
+        written = ([name, kinds[name], round_, _plain(value)] for name, (round_, value) in self._written.items())
+        lines = ([number, round(now - time, 2), *more] for number, time, *more in reversed(self._lines))
+        return {
+            "lines": _within(LINES_BYTES, lines)[::-1],
+            "outcomes": _within(ROUNDS_BYTES, reversed(_runs(self._rounds)))[::-1],
+            "decided": round(now - self._decided, 3),
+            "shared": _within(VALUES_BYTES, written),
+        }
+
+
+def _runs(rounds: Iterable[Outcome]) -> list[list[Any]]:
+    runs: list[list[Any]] = []
+    for number, outcome, detail, late in rounds:
+        late_ms = round(late * 1e3, 1)
+        if runs and runs[-1][2:4] == [outcome, detail] and runs[-1][0] + runs[-1][1] == number:
+            runs[-1][1] += 1
+            runs[-1][4].append(late_ms)
+        else:
+            runs.append([number, 1, outcome, detail, [late_ms]])
+    return runs
+
+
+def _within(most: int, rows: Iterable[list[Any]]) -> list[list[Any]]:
+    """Return the first rows whose JSON has at most so many bytes together."""
+    kept: list[list[Any]] = []
+    for row in rows:
+        most -= len(_encoder.encode(row))
+        if most < 0:
+            break
+        kept.append(row)
+    return kept
+
+
+def _plain(value: Any) -> Any:
+    text = _encoder.encode(value)
+    if len(text) > LONGEST_VALUE:
+        return {"cut": text[:LONGEST_VALUE].decode("utf-8", "ignore")}
+    return json.loads(text)
+
+
+def goal(actuators: Mapping[str, Any], is_finite: Callable[[Any], bool]) -> list[list[float]]:
+    """Return the points of the path, or the single target, that was commanded last: metres, local ENU; empty without
+    one. Of a long path MOST_POINTS are left, the last among them."""
+    for port in (".path", ".target"):
+        for name, value in actuators.items():
+            points = (value if port == ".path" else (value,)) if name.endswith(port) else ()
+            if points and all(map(is_finite, points)):
+                every = -(-len(points) // MOST_POINTS)
+                return [[round(c, 3) for c in (p.x, p.y, p.z)] for p in points[::-1][::every][::-1]]
+    return []

@@ -1,0 +1,184 @@
+"""The Python beside a program: calls of `extern fun`s, with copies in, strict conversion out, and nothing that escapes.
+
+Koord values are immutable, so they need no copying; values of extern types are decoded anew for every call.
+"""
+
+from __future__ import annotations
+
+import importlib
+import reprlib
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import msgspec
+
+from koordgen.runtime.values.bounds import Blob, Bound, Cells, Distinct, Many, Pairs, Parts, Text, parts_of
+from koordgen.runtime.values.containers import map_of, set_of
+from koordgen.runtime.values.gridmap import GridMap, sound
+from koordgen.runtime.values.points import Opaque
+
+# What user code may raise that is no Exception and must not end the agent.
+ESCAPES = (Exception, SystemExit, KeyboardInterrupt, GeneratorExit)
+
+
+class Contract(NamedTuple):
+    """What an extern function requires or ensures: its name, and the line of the program on which that stands."""
+
+    of: Literal["requires", "ensures"]
+    name: str
+    line: int
+
+
+class BadExtern(Exception):
+    """An extern function that is missing, raised, returned what it must not, or whose contract does not hold."""
+
+    def __init__(self, message: str, contract: Contract | None = None) -> None:
+        super().__init__(message)
+        self.contract = contract
+
+
+class Library:
+    """The user's module of functions and types, imported when it is first needed, or by `load`."""
+
+    def __init__(self, module: str) -> None:
+        self._name = module
+        self._module: Any = None
+
+    def load(self) -> None:
+        """Import it. Raises BadExtern."""
+        if self._module is None:
+            try:
+                self._module = importlib.import_module(self._name)
+            except ESCAPES as error:
+                raise BadExtern(f"{self._name}.py cannot be imported: {_told(error)}") from error
+
+    def find(self, name: str) -> Callable[..., Any]:
+        """A function or class of it. Raises BadExtern."""
+        self.load()
+        found = getattr(self._module, name, None)
+        if not callable(found):
+            raise BadExtern(f"{self._name}.py has no {name}")
+        return found  # type: ignore[no-any-return]
+
+
+class Extern:
+    """One extern function. `parameters` and `result` mirror its Koord types, `type` is the result's Python type and
+    `wanted` its name in words: "a List<Point>"."""
+
+    def __init__(
+        self, library: Library, name: str, parameters: tuple[Bound, ...], result: Bound, type: Any, wanted: str
+    ) -> None:
+        self._library = library
+        self._name = name
+        self._parameters = parameters
+        self._result = result
+        self._type = type
+        self._wanted = wanted
+
+    def __call__(self, *args: Any) -> Any:
+        """The function's result as a Koord value. Raises BadExtern."""
+        function = self._library.find(self._name)
+        given = [self._opened(bound, value) for bound, value in zip(self._parameters, args, strict=True)]
+        try:
+            found = function(*given)
+        except ESCAPES as error:
+            raise BadExtern(f"{self._name} raised {_told(error)}") from error
+        try:
+            plain = msgspec.to_builtins(self._closed(self._result, found), builtin_types=(bytes,))
+            return msgspec.convert(plain, self._type, strict=True)
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError):
+            raise BadExtern(f"{self._name} returned {shown(found)}, not {self._wanted}") from None
+
+    def require(self, holds: bool, line: int) -> None:
+        """A precondition, which stands on a line of the program. Raises BadExtern."""
+        if not holds:
+            why = f"{self._name} was called although what it requires (line {line}) does not hold"
+            raise BadExtern(why, Contract("requires", self._name, line))
+
+    def ensure(self, holds: bool, line: int, result: object) -> None:
+        """A promise of the function, which stands on a line of the program. Raises BadExtern."""
+        if not holds:
+            why = f"{self._name} returned {shown(result)}, against what it ensures (line {line})"
+            raise BadExtern(why, Contract("ensures", self._name, line))
+
+    def _opened(self, bound: Bound, value: Any) -> Any:
+        """A Koord value as the user's code gets it: with values of the user's own classes."""
+        match bound:
+            case Blob(_, name):
+                return self._made(name, value)
+            case Many(_, element) | Distinct(_, element) if _holds_blob(element):
+                return tuple(self._opened(element, v) for v in value)
+            case Pairs(_, _, held) if _holds_blob(held):
+                return tuple((k, self._opened(held, v)) for k, v in value)
+            case Parts(items) if any(map(_holds_blob, items)):
+                parts = [self._opened(b, v) for b, v in zip(items, parts_of(value), strict=True)]
+                return tuple(parts) if isinstance(value, tuple) else type(value)(*parts)
+            case _:
+                return value
+
+    def _made(self, name: str, value: Opaque) -> Any:
+        cls: Any = self._library.find(name)
+        try:
+            return msgspec.msgpack.decode(value.data, type=cls) if value.data else cls()
+        except ESCAPES as error:
+            raise BadExtern(f"no {name} can be made for {self._name}: {_told(error)}") from error
+
+    def _closed(self, bound: Bound, value: Any) -> Any:
+        """What the user's code returned, with sets and maps in their one order and values of the user's classes packed.
+        Where the shape is another, it is left to the conversion to say so. Raises ValueError, TypeError."""
+        match bound:
+            case Blob(_, name):
+                if not isinstance(value, self._library.find(name)):  # type: ignore[arg-type]
+                    raise TypeError
+                return Opaque(msgspec.msgpack.encode(value))
+            case Many(_, element) if isinstance(value, (list, tuple)):
+                return tuple(self._closed(element, v) for v in value)
+            case Distinct(_, element) if isinstance(value, (list, tuple, set, frozenset)):
+                return set_of(self._closed(element, v) for v in value)
+            case Pairs(_, key, held) if isinstance(value, (list, tuple, dict)):
+                pairs = value.items() if isinstance(value, dict) else value
+                return map_of((self._closed(key, k), self._closed(held, v)) for k, v in pairs)
+            case Parts(items, fields):
+                parts = _items(value, fields)
+                return tuple(self._closed(b, v) for b, v in zip(items, parts, strict=True))
+            case Cells() if not (isinstance(value, GridMap) and sound(value)):
+                raise ValueError
+            case Text():
+                value.encode()  # UnicodeEncodeError is a ValueError
+                return value
+            case _:
+                return value
+
+
+def _items(value: Any, fields: tuple[str, ...]) -> tuple[Any, ...]:
+    """The parts of what stands for a tuple or a record: a sequence, a dict by field, any object with these fields."""
+    if isinstance(value, (list, tuple)):
+        return tuple(value)
+    if not fields or (isinstance(value, dict) and value.keys() != set(fields)):
+        raise TypeError
+    return tuple(value[f] if isinstance(value, dict) else getattr(value, f) for f in fields)
+
+
+def _holds_blob(bound: Bound) -> bool:
+    match bound:
+        case Many(_, element) | Distinct(_, element) | Pairs(_, _, element):
+            return _holds_blob(element)
+        case Parts(items):
+            return any(map(_holds_blob, items))
+        case _:
+            return isinstance(bound, Blob)
+
+
+def shown(value: object) -> str:
+    """Short, whatever the user's `__repr__` does."""
+    try:
+        return reprlib.repr(value)
+    except ESCAPES:
+        return f"a {type(value).__name__}"
+
+
+def _told(error: BaseException) -> str:
+    try:
+        return f"{type(error).__name__}: {error}"
+    except ESCAPES:
+        return type(error).__name__

@@ -1,0 +1,134 @@
+"""Runs one robot's program: its locals, one event at a time, within the time it has."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from types import FrameType
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.program.program import Effects, Event, Fault, Frame, Program, choose, run
+from koordgen.runtime.values.clock import Clock
+
+LATE = "not finished by the round's publish deadline"
+INIT_TIME = 1.0  # seconds
+
+Limit = Callable[[float], AbstractContextManager[None]]
+Call = Callable[[str, tuple[Any, ...]], Any]
+
+
+class Overrun(BaseException):
+    """Raised within an event that has used up its time; no `except Exception` of an extern function keeps it."""
+
+
+class EndedAtOnce(BaseException):
+    """Raised wherever the process is when the user wants it gone; not KeyboardInterrupt, which user code may raise."""
+
+
+_UNLIMITED = nullcontext()
+
+
+def unlimited(seconds: float) -> AbstractContextManager[None]:
+    """No interruption: an event that takes too long is only noticed when it ends."""
+    return _UNLIMITED
+
+
+class Interrupting:
+    """`with it(seconds)`: interrupts what runs inside after so many seconds (Overrun), by the process's real-time
+    timer: a loop that does not end must not keep the robot from its control loop. One for the process, which it takes
+    SIGALRM of for good; made in the main thread, where signals arrive."""
+
+    def __init__(self) -> None:
+        self._armed = False
+        self._seconds = 0.0
+        signal.signal(signal.SIGALRM, self._ring)
+
+    def __call__(self, seconds: float) -> Interrupting:
+        self._seconds = max(1e-4, seconds)
+        return self
+
+    def __enter__(self) -> None:
+        self._armed = True
+        try:  # the timer may ring at once, here already
+            # ... and again, should a bare `except` keep the first.
+            signal.setitimer(signal.ITIMER_REAL, self._seconds, 0.05)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __exit__(self, *error: object) -> None:
+        self._armed = False
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _ring(self, number: int, frame: FrameType | None) -> None:
+        # Once the event is over, nothing may keep its end from turning the timer off.
+        over = frame is not None and frame.f_code is Interrupting.__exit__.__code__
+        if self._armed and not over:
+            raise Overrun("out of time")
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none. `lock`: of
+    an atomic event; its effects are there once the fleet has found that its commit counts. -1: of a plain one."""
+
+    event: str | None = None
+    effects: Effects | None = None
+    fault: Fault | None = None
+    lock: int = -1
+
+
+class Runner:
+    """One program on one robot. `locals` are changed by whoever knows that an event counts."""
+
+    def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
+        self.program = program
+        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals}
+        self._pid = pid
+        self._n_sys = n_sys
+        self._clock = clock
+        self._limit = limit
+
+    def frame(
+        self, shared: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any], call: Call
+    ) -> Frame:
+        return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators, call)
+
+    def init(self, frame: Frame) -> Effects | Fault:
+        """Run the program's `init`; without one nothing is written."""
+        if self.program.init is None:
+            return Effects(self.locals, {}, {}, False)
+        try:
+            with self._limit(INIT_TIME):
+                done = run(self.program, self.program.init, self.program.begin(frame))
+        except Overrun:
+            return Fault(self.program.source, 0, f"init not finished within {INIT_TIME} s")
+        if isinstance(done, Effects):
+            self.locals = done.locals
+        return done
+
+    def step(self, frame: Frame, deadline: float) -> Outcome:
+        """Choose and run this round's event, the first enabled one; what is not finished by `deadline` (local time) is
+        discarded whole."""
+        event: Event | None = None
+        done: Effects | Fault
+        try:
+            with self._limit(deadline - self._clock.now()):
+                state = self.program.begin(frame)
+                chosen = choose(self.program, state)
+                if chosen is None:
+                    return Outcome()
+                if isinstance(chosen, Fault):
+                    return Outcome(fault=chosen)
+                event = chosen
+                done = run(self.program, event.effect, state, event.line)
+        except Overrun:
+            done = Fault(self.program.source, event.line if event else 0, LATE)
+        name = event.name if event else None
+        if isinstance(done, Fault):
+            return Outcome(name, fault=done)
+        if self._clock.now() > deadline:
+            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
+        return Outcome(name, done, lock=-1 if event is None or event.lock is None else event.lock)

@@ -1,0 +1,88 @@
+"""What the closings of one round make of the shared store, as all robots find it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from koordgen.runtime.net.layout import Layout, Unpatched
+from koordgen.runtime.net.ledger import Collected
+from koordgen.runtime.replication.log import Entry
+
+FORGET_EVERY = 16  # stores: to look which are of no use any more costs more than to keep some a little longer
+
+Store = Mapping[str, Any]
+
+
+class Past:
+    """Stores, and the last rounds in which events counted, after a round and the silent ones behind it; the first is of
+    a stable round."""
+
+    def __init__(self, applied: int, shared: Store, acted: list[int]) -> None:
+        self._known = [(applied, shared, acted)]
+
+    def at(self, last: int) -> tuple[Store, list[int]] | None:
+        """Those after a round; None when they are not known any more."""
+        return next(((shared, acted) for round_, shared, acted in reversed(self._known) if round_ <= last), None)
+
+    def add(self, round_: int, shared: Store, acted: list[int], stable: Callable[[int], bool]) -> None:
+        """The next ones; those before the last stable round go. Without any no event runs for long: not much stays."""
+        known = self._known
+        if len(known) >= FORGET_EVERY:
+            for index in range(len(known) - 1, 0, -1):
+                if stable(known[index][0]):
+                    del known[:index]
+                    break
+        known.append((round_, shared, acted))
+
+
+def all_of(layout: Layout, entries: Sequence[Entry], shared: Store, acted: list[int]) -> tuple[Store, list[int], int]:
+    """The store with what these closings wrote, in their order; the last rounds in which events counted; and how many
+    patches fit no value."""
+    before, after, unfit = acted, acted, 0
+    is_slots = layout.is_slots
+    changed: dict[int, Any] = {}
+    for entry in entries:
+        closing = entry.closing
+        author = closing.author
+        if closing.acted:
+            if after is before:
+                after = after.copy()
+            after[author] = closing.round
+        for index, item in entry.values:
+            if type(item) is Unpatched:
+                item = layout.resolve(index, item, layout.base(index, shared, author))
+                if item is None:
+                    unfit += 1
+                    continue
+            if is_slots[index]:
+                slots = changed.get(index)
+                if slots is None:
+                    slots = changed[index] = list(shared[layout.names[index]])
+                slots[author] = item
+            else:
+                changed[index] = item
+    if not changed:
+        return shared, after, unfit
+    written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
+    return {**shared, **written}, after, unfit
+
+
+def all_alike(
+    layout: Layout, found: Collected, through: int, shared: Store, acted: list[int]
+) -> tuple[Store, list[int]] | None:
+    """The same of closings as the ledger collects them, without commits and patches: by variable, each by author. None
+    where something does not fit the program."""
+    written: dict[str, Any] = {}
+    for index, pids, values in found.writes:
+        value = layout.together(index, pids, values, shared)
+        if value is None:
+            return None
+        written[layout.names[index]] = value
+    if len(found.acted) == len(acted):  # nearly always
+        acted = [through] * len(acted)
+    elif found.acted:
+        acted = acted.copy()
+        for pid in found.acted:
+            acted[pid] = through
+    return {**shared, **written} if written else shared, acted

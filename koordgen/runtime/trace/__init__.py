@@ -1,0 +1,6 @@
+"""Trace of one robot.
+
+Owns: records of rounds, their file and its parts, values watched for monitors.
+Offers: the schema, `Trace`, which writes, and the names of a trace's files.
+Must not import: `monitor` or any room above it.
+"""

@@ -1,0 +1,172 @@
+"""GridMap: what is known of a rectangle of the plane, cell by cell: unknown, free or occupied.
+
+All maps of one resolution are windows of one lattice about the origin, so two robots' maps of different areas can be
+merged. Knowledge only grows: marking and merging are joins, occupied over free over unknown, and a join is an OR of
+bits. Merging is therefore commutative, associative and idempotent: the order in which maps arrive does not matter.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import msgspec
+
+from koordgen.runtime.values.points import INT_MAX, INT_MIN, Grid, Point
+
+FREE, OCCUPIED = 0b01, 0b11  # 00 is unknown; 10 is nothing
+MAX_CELLS = 1 << 22  # more would take a robot's memory and its round
+
+_SOUND = bytes(
+    a << 6 | b << 4 | c << 2 | d for a, b, c, d in product((0, FREE, OCCUPIED), repeat=4)
+)  # the bytes of four cells none of which is 10
+
+
+class GridMap(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """A window of the lattice whose cell (i, j) is the square [i, i + 1) x [j, j + 1) times `resolution` metres:
+    `width` x `height` cells from cell (x, y). `cells` has two bits a cell, row by row from (x, y), the first cell of a
+    byte lowest, the last byte filled with zeros. GridMap() is the empty map, which alone has no cells.
+    """
+
+    resolution: float = 0.0
+    x: int = 0
+    y: int = 0
+    width: int = 0
+    height: int = 0
+    cells: bytes = b""
+
+
+def area(lo: Point, hi: Point, resolution: float) -> GridMap:
+    """The unknown map of the rectangle from lo to hi: from lo's cell as far as the cells that begin before hi, z left
+    aside. ValueError unless lo is below hi in x and in y, and for more than MAX_CELLS cells."""
+    size = _size(resolution)
+    if not (lo.x < hi.x and lo.y < hi.y):
+        raise ValueError("a GridMap's first corner must be below its second in x and in y")
+    x, y = math.floor(lo.x / size), math.floor(lo.y / size)
+    width, height = math.ceil(hi.x / size) - x, math.ceil(hi.y / size) - y
+    return _blank(size, x, y, max(width, 1), max(height, 1))  # both quotients may round to one whole number
+
+
+def cell(p: Point, size: float) -> Grid:
+    """The cell of the lattice of `size` metres in which a point lies. ValueError unless size is positive and finite."""
+    return Grid(math.floor(p.x / _size(size)), math.floor(p.y / size), size)
+
+
+def center(g: Grid) -> Point:
+    """The middle of a cell, at z = 0."""
+    return Point((g.x + 0.5) * g.size, (g.y + 0.5) * g.size, 0.0)
+
+
+def is_free(m: GridMap, g: Grid) -> bool:
+    """Whether a cell is known to be free; nothing is outside of the window. ValueError for a cell of another size."""
+    return _code(m, g) == FREE
+
+
+def is_occupied(m: GridMap, g: Grid) -> bool:
+    """Whether a cell is known to be occupied; ValueError for a cell of another size."""
+    return _code(m, g) == OCCUPIED
+
+
+def is_known(m: GridMap, g: Grid) -> bool:
+    """Whether a cell is known to be free or to be occupied; ValueError for a cell of another size."""
+    return _code(m, g) != 0
+
+
+def mark_free(m: GridMap, g: Grid) -> GridMap:
+    """m with a cell free, unless it is occupied. ValueError for a cell outside of the window or of another size."""
+    return _marked(m, g, FREE)
+
+
+def mark_occupied(m: GridMap, g: Grid) -> GridMap:
+    """m with a cell occupied. ValueError for a cell outside of the window or of another size."""
+    return _marked(m, g, OCCUPIED)
+
+
+def merge(a: GridMap, b: GridMap) -> GridMap:
+    """What a and b know together, over the smallest window that holds both; cells of neither are unknown. ValueError
+    for two resolutions, and for a window of more than MAX_CELLS cells."""
+    if not a.width:
+        return b
+    if not b.width:
+        return a
+    if a.resolution != b.resolution:
+        raise ValueError(f"maps of {a.resolution} m and of {b.resolution} m a cell do not merge")
+    x, y = min(a.x, b.x), min(a.y, b.y)
+    width, height = max(a.x + a.width, b.x + b.width) - x, max(a.y + a.height, b.y + b.height) - y
+    window = _blank(a.resolution, x, y, width, height)
+    bits = _bits(a, window) | _bits(b, window)
+    return GridMap(a.resolution, x, y, width, height, bits.to_bytes(len(window.cells), "little"))
+
+
+def sound(m: GridMap) -> bool:
+    """Whether a map, as from the network, is one that the functions of here can make. The others rely on it."""
+    if m.width == 0 or m.height == 0:
+        return m == GridMap()
+    return (
+        m.resolution > 0
+        and math.isfinite(m.resolution)
+        and 0 < m.width <= MAX_CELLS
+        and 0 < m.height <= MAX_CELLS // m.width
+        and INT_MIN <= m.x <= INT_MAX - m.width
+        and INT_MIN <= m.y <= INT_MAX - m.height
+        and len(m.cells) == _length(m.width, m.height)
+        and m.cells[-1] >> 2 * ((m.width * m.height - 1) % 4 + 1) == 0
+        and not m.cells.translate(None, _SOUND)
+    )
+
+
+def _size(size: float) -> float:
+    if not 0 < size < math.inf:
+        raise ValueError(f"the size of a cell must be positive: {size}")
+    return size
+
+
+def _length(width: int, height: int) -> int:
+    return (width * height + 3) // 4
+
+
+def _blank(resolution: float, x: int, y: int, width: int, height: int) -> GridMap:
+    if width * height > MAX_CELLS:
+        raise ValueError(f"a GridMap has at most {MAX_CELLS} cells")
+    if min(x, y) < INT_MIN or max(x + width, y + height) > INT_MAX:
+        raise ValueError("a GridMap's cells are numbered by ints of 64 bits")
+    return GridMap(resolution, x, y, width, height, bytes(_length(width, height)))
+
+
+def _bits(m: GridMap, window: GridMap) -> int:
+    """The cells of m as they lie in a window that contains it, the first lowest."""
+    bits = int.from_bytes(m.cells, "little")
+    if m.width == window.width:
+        return bits << 2 * m.width * (m.y - window.y)
+    row, digits = (
+        2 * m.width,
+        f"{bits:0{2 * m.width * m.height}b}",
+    )  # the highest first: rows from the last to the first
+    left = "0" * (2 * (m.x - window.x))
+    right = "0" * (2 * (window.width - m.width) - len(left))
+    rows = "".join(f"{right}{digits[k : k + row]}{left}" for k in range(0, len(digits), row))
+    return int(rows, 2) << 2 * window.width * (m.y - window.y)
+
+
+def _index(m: GridMap, g: Grid) -> int | None:
+    """The number of a cell in m, None outside of the window."""
+    if not m.width:
+        return None
+    if g.size != m.resolution:
+        raise ValueError(f"a cell of {g.size} m is none of a map of {m.resolution} m a cell")
+    i, j = g.x - m.x, g.y - m.y
+    return j * m.width + i if 0 <= i < m.width and 0 <= j < m.height else None
+
+
+def _code(m: GridMap, g: Grid) -> int:
+    k = _index(m, g)
+    return 0 if k is None else m.cells[k // 4] >> 2 * (k % 4) & 0b11
+
+
+def _marked(m: GridMap, g: Grid, code: int) -> GridMap:
+    k = _index(m, g)
+    if k is None:
+        raise ValueError(f"cell ({g.x}, {g.y}) is outside of the map")
+    cells = bytearray(m.cells)
+    cells[k // 4] |= code << 2 * (k % 4)
+    return GridMap(m.resolution, m.x, m.y, m.width, m.height, bytes(cells))

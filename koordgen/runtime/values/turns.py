@@ -1,0 +1,168 @@
+"""Limits of one event: the turns of its loops, and the sizes of the numbers, texts and collections that it makes.
+
+An event, a guard and a formula each have MOST_TURNS turns. A turn of a loop and a call of a function cost one turn; so
+does every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text, and of one that is gone through. What
+needs more raises TooMuch, which discards the event. koordgen/semantics counts the same; tests/agree compares both at
+the limits. Generated code has no call where a static bound shows that the cost is 0 (koordgen/emit/size.py).
+
+The count is an iterator that one process has, for one event at a time: counting stays in C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sized
+from itertools import chain, compress, islice, repeat
+from typing import Literal, TypeVar
+
+import msgspec
+
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Opaque, Point
+
+T = TypeVar("T")
+S = TypeVar("S", bound=Sized)
+
+MOST_TURNS = 1_000_000
+ELEMENTS_A_TURN = 100
+MOST_ELEMENTS = 100_000  # of a list, set, map, queue; characters of a text
+CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
+MOST_BITS = 4096  # of an int
+_PLAIN = frozenset((int, bool, float, Point))  # of these nothing is counted
+SMALL_BITS = 64  # an int of at most so many is added and subtracted without a look at the result
+TOO_LONG = f"an int of more than {MOST_BITS} bits"
+
+
+class TooMuch(Exception):
+    """An event exceeds a limit, and is discarded."""
+
+
+class NoTurns(TooMuch):
+    """An event needs more turns than it has."""
+
+
+class _UsedUp:
+    """Emit what comes after the last turn."""
+
+    def __iter__(self) -> _UsedUp:
+        return self
+
+    def __next__(self) -> Literal[True]:
+        raise NoTurns("it is not finished by the end of the round")
+
+
+class _Count:
+    """The turns that are left: an iterator that yields True for each, and raises TooMuch after the last."""
+
+    def __init__(self) -> None:
+        self.left: Iterator[Literal[True]] | None = None
+
+    def full(self) -> Iterator[Literal[True]]:
+        every: Iterator[Literal[True]] = repeat(True, MOST_TURNS)
+        self.left = chain(every, _UsedUp())
+        return self.left
+
+
+_count = _Count()
+
+
+def begin() -> None:
+    """Start the count for the next event, guard or formula."""
+    _count.left = None  # made when it is asked for: most events have no loop
+
+
+def turns(values: Iterable[T]) -> Iterator[T]:
+    """Yield the values, each for one turn. Raises TooMuch."""
+    return compress(values, _count.left or _count.full())
+
+
+def turn() -> Literal[True]:
+    """Take one turn. Raises TooMuch."""
+    return next(_count.left or _count.full())
+
+
+def made(value: S) -> S:
+    """Return a new list, set, map, queue or text, for the turns that it costs. Raises TooMuch."""
+    size = len(value)
+    if size >= ELEMENTS_A_TURN:
+        if size > MOST_ELEMENTS:
+            raise TooMuch(f"{size} elements or characters, where an event makes at most {MOST_ELEMENTS}")
+        spend(size // ELEMENTS_A_TURN)
+    return value
+
+
+def looked(values: S) -> S:
+    """Return a text, or a list, queue or set of numbers or Points, that is gone through, for the turns that it costs.
+    Raises TooMuch."""
+    size = len(values)
+    if size >= ELEMENTS_A_TURN:
+        spend(size // ELEMENTS_A_TURN)
+    return values
+
+
+def looked_in(value: T) -> T:
+    """Return a value of any type that is gone through with all that is in it, for the turns that it costs. Raises
+    TooMuch."""
+    spend(elements(value) // ELEMENTS_A_TURN)
+    return value
+
+
+def elements(value: object) -> int:
+    """Count the elements of a value and of all that is in it: elements of a list, queue or set and items of a tuple;
+    of a map its pairs, keys and values; characters; rays; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends
+    beyond what any event can pay for."""
+    if isinstance(value, tuple):
+        found = len(value)
+        for part in value:
+            if type(part) in _PLAIN:
+                continue
+            if found > MOST_TURNS * ELEMENTS_A_TURN:
+                break
+            found += elements(part)
+        return found
+    if isinstance(value, str):
+        return len(value)
+    if isinstance(value, GridMap):
+        return value.width * value.height // CELLS_AN_ELEMENT
+    if isinstance(value, msgspec.Struct) and not isinstance(value, Opaque):
+        return sum([elements(field) for field in msgspec.structs.astuple(value)])
+    return 0
+
+
+def spend(turns: int) -> None:
+    """Take so many turns. Raises TooMuch."""
+    if turns:
+        next(islice(_count.left or _count.full(), turns - 1, None))
+
+
+def plus(a: int, b: int) -> int:
+    """a + b. Raises TooMuch when both are beyond SMALL_BITS and the sum is beyond MOST_BITS."""
+    found = a + b
+    return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
+
+
+def minus(a: int, b: int) -> int:
+    """a - b. Raises TooMuch as `plus` does."""
+    found = a - b
+    return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
+
+
+def product(a: int, b: int) -> int:
+    """a * b. Raises TooMuch beyond MOST_BITS."""
+    if a.bit_length() + b.bit_length() <= MOST_BITS + 1:  # a product has as many bits as both factors, or one less
+        found = a * b
+        if found.bit_length() <= MOST_BITS:
+            return found
+    raise TooMuch(TOO_LONG)
+
+
+def checked(found: int) -> int:
+    """Return an int. Raises TooMuch beyond MOST_BITS."""
+    if found.bit_length() > MOST_BITS:
+        raise TooMuch(TOO_LONG)
+    return found
+
+
+def _large(found: int, a: int, b: int) -> int:
+    if min(a.bit_length(), b.bit_length()) > SMALL_BITS:
+        raise TooMuch(TOO_LONG)
+    return found

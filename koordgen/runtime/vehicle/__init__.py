@@ -1,0 +1,6 @@
+"""Vehicle: the program's ports over a platform.
+
+Owns: the platform interface, ports, geofence and stale positions, drivers of users, feeds, lidar scans.
+Offers: `Platform` to targets, `Body` to the agent.
+Must not import: `trace` or any room above it.
+"""

@@ -1,0 +1,163 @@
+"""The robot's body as its program sees it: sampled sensors, actuator variables, calls, and all that makes it hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.program.skips import NO_SENSOR_VALUE
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Platform, Resumes, Sensed, Unready
+from koordgen.runtime.vehicle.safety import clamped
+
+_GOALS, _REACHED = ("target", "path"), ".reached"
+
+
+class Body:
+    """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
+    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told.
+    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's;
+    `clock` times calls."""
+
+    def __init__(
+        self,
+        program: Program,
+        platform: Platform,
+        fence: Box,
+        budget: float,
+        warn: Callable[[str], None],
+        avoid: str = "",
+        pid: int = 0,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._platform = platform
+        self._avoid, self._pid, self._clock = avoid, pid, clock
+        self._slots: tuple[Any, ...] = ()  # of `avoid`, as `others` saw them last
+        self._published: dict[int, tuple[Point, ...]] = {}  # what it has handed on
+        self._fence = fence
+        self._budget = budget
+        self._warn = warn
+        self._sensors = tuple(p.name for p in program.ports if p.direction == "sensor")
+        self._reached = tuple((name, name[: -len(_REACHED)]) for name in self._sensors if name.endswith(_REACHED))
+        self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
+        self._callables = {p.name: p.type for p in program.ports if p.direction == "callable"}
+        self._commanded: dict[str, float] = {}  # module -> when its target or path was written last
+        self._fenced: tuple[str, ...] = ()
+        self._reasons: set[str] = set()
+        self._retired = False
+        self._calls: list[tuple[str, tuple[Any, ...], Any]] = []
+        self.actuators: dict[str, Any] = {}
+        self.slow_calls = 0
+
+    def begin(self, sensed: Sensed) -> None:
+        """Before `init`: an actuator that was never written holds, so `target` is where the robot is. Raises Unready
+        when the target lacks a port."""
+        for name in self._sensors:
+            if name not in sensed.values:
+                raise Unready(f"this target has no port {name}", "build the program for a target that offers it")
+        for port in self._actuators:
+            position = sensed.values.get(port.name.rpartition(".")[0] + ".position")
+            if port.name.endswith(".target") and isinstance(position, Point):
+                self.actuators[port.name] = position
+            elif port.unset is not None:
+                self.actuators[port.name] = port.unset()
+
+    def sensors(self, sensed: Sensed) -> dict[str, Any]:
+        """The program's sensor ports. `reached` is true before any command, and after one false until the platform
+        judged by a position that is younger than the command."""
+        values = {name: sensed.values[name] for name in self._sensors}
+        for name, module in self._reached:
+            since = self._commanded.get(module)
+            if since is None:
+                values[name] = True
+            elif sensed.time is None or sensed.time <= since:
+                values[name] = False
+        return values
+
+    def others(self, shared: Mapping[str, Any]) -> None:
+        """Before an event: hand the other robots' published paths, as they stand in the shared store, to the platform,
+        if they have changed."""
+        slots = shared.get(self._avoid, ())
+        if slots is self._slots:
+            return
+        self._slots = slots
+        paths = (
+            (pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in enumerate(slots) if pid != self._pid
+        )
+        published = {pid: path for pid, path in paths if path}
+        if published != self._published:
+            self._published = published
+            self._platform.others(published)
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""
+        began = self._clock()
+        found = self._platform.call(port, args)
+        took = self._clock() - began
+        if took > self._budget:
+            self.slow_calls += 1
+            if self.slow_calls == 1:
+                self._warn(f"{port} took {took * 1e3:.0f} ms, beyond its budget of {self._budget * 1e3:.0f} ms")
+        answer = msgspec.convert(found, self._callables[port])
+        if not transmissible(answer):
+            raise ValueError(f"{port} answered with what is no number")
+        self._calls.append((port, args, answer))
+        return answer
+
+    def calls(self) -> tuple[tuple[str, tuple[Any, ...], Any], ...]:
+        """The calls since this was asked last: port, arguments, answer."""
+        if not self._calls:
+            return ()
+        found, self._calls = tuple(self._calls), []
+        return found
+
+    def command(self, written: Mapping[str, Any], now: float) -> None:
+        """Take what an event wrote to actuators; Points go to the platform moved into the geofence."""
+        self._hand_on(written, now, self._platform.command)
+
+    def _hand_on(self, written: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]) -> None:
+        if not written or self._retired:
+            return
+        self.actuators = {**self.actuators, **written}  # frames of earlier rounds keep theirs
+        for name in written:
+            module, _, port = name.rpartition(".")
+            if port in _GOALS:
+                self._commanded[module] = now
+        inside, moved = clamped(self._fence, written)
+        if moved and tuple(moved) != self._fenced:
+            self._warn("; ".join(f"{n} = {written[n]} is outside the geofence, commanding {inside[n]}" for n in moved))
+        self._fenced = tuple(moved)
+        to(inside, now)
+
+    def restore(self, actuators: Mapping[str, Any], now: float) -> None:
+        """Go on with what an earlier life of this robot had commanded, where that differs."""
+        nothing = object()
+        differing = {n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}
+        platform = self._platform
+        self._hand_on(differing, now, platform.resume if isinstance(platform, Resumes) else platform.command)
+
+    def hold(self, reason: str, on: bool, now: float) -> bool:
+        """Hold for a reason, or no longer for that one; the robot moves when no reason is left. True on a change."""
+        if on == (reason in self._reasons) or self._retired:
+            return False
+        (self._reasons.add if on else self._reasons.discard)(reason)
+        self._platform.hold(bool(self._reasons), now)
+        return True
+
+    def retire(self) -> None:
+        """The safe end has begun: nothing of the program reaches the platform any more."""
+        self._retired = True
+
+
+def unusable(sensors: Mapping[str, Any]) -> str | None:
+    """The first sensor whose value no program may see, in words, or None."""
+    for name, value in sensors.items():
+        if not transmissible(value):
+            why = "has no value" if value is None else "is not finite"
+            return f"{NO_SENSOR_VALUE}: {name} {why}"
+    return None

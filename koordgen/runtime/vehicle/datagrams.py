@@ -1,0 +1,79 @@
+"""UDP ports on which the feeds of base stations and sensors arrive, never blocking."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from koordgen.runtime.vehicle.platform import Unready
+
+LARGEST_DATAGRAM = 2048
+# All that a socket buffers, or what waits behind a flood would be taken for new; and no more than is done in a few
+# milliseconds.
+DATAGRAMS_A_POLL = 512
+
+
+def raw_clock() -> float:
+    """Seconds of a clock that runs as evenly as the computer's crystal: NTP slews the monotonic clock by far more."""
+    return time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
+
+
+class DatagramLink(Protocol):
+    """Where datagrams arrive. None: there is none now."""
+
+    def receive(self) -> bytes | None: ...
+
+    def close(self) -> None: ...
+
+
+class UdpLink:
+    """A bound UDP socket. Raises OSError or OverflowError when it cannot be bound."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind((host, port))
+        except BaseException:
+            self._socket.close()
+            raise
+
+    def receive(self) -> bytes | None:
+        try:
+            return self._socket.recv(LARGEST_DATAGRAM)
+        except OSError:  # nothing there; or a stray network error, which later silence tells well enough
+            return None
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpLink:
+    """Bind the port that a robot's setting `key` names, "udp:HOST:PORT", for `what` (plural) from `sender`. Raises
+    Unready."""
+    kind, _, address = setting.partition(":")
+    host, _, port = address.rpartition(":")
+    if kind != "udp" or not host or not port.isascii() or not port.isdigit():
+        raise Unready(f"{key} {setting!r} is not understood", f"write `{key}: udp:HOST:PORT`, as in {example}")
+    try:
+        return UdpLink(host, int(port))
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        hint = f"free the port, or give another in `{key}` of the robot's settings and to {sender}"
+        raise Unready(f"cannot receive {what} on {host}:{port}: {reason}", hint) from None
+
+
+def even_clock(link: DatagramLink) -> Callable[[], float] | None:
+    """Return the clock by which arrivals on a link are stamped: None on a simulated one, which has the caller's."""
+    return raw_clock if isinstance(link, UdpLink) else None
+
+
+def waiting(link: DatagramLink) -> Iterator[bytes]:
+    """What has arrived, at most DATAGRAMS_A_POLL."""
+    for _ in range(DATAGRAMS_A_POLL):
+        datagram = link.receive()
+        if datagram is None:
+            return
+        yield datagram

@@ -1,0 +1,161 @@
+"""Modules that the target does not offer, served by the user's own driver classes beside the platform.
+
+A driver has `sense() -> dict` and `command(dict)`, by the names of its ports, and may have `call(port, args)` and
+`close()`. None of them may block. One that raises, or that senses what is none of the port's type, makes the robot
+skip its rounds until it senses again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.program.extern import ESCAPES
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Finding, Platform, Resumes, Sensed, Unready, Vitals, vitals
+
+Drivers = Mapping[str, Callable[[], Any]]
+
+
+def with_drivers(platform: Platform, program: Program, drivers: Drivers) -> Platform:
+    """The platform, and beside it a driver for each module named. Raises Unready for a driver that cannot be made."""
+    return Driven(platform, program, drivers) if drivers else platform
+
+
+class Driven:
+    """A Platform that serves some modules by drivers, and passes on all else."""
+
+    def __init__(self, platform: Platform, program: Program, drivers: Drivers) -> None:
+        self._platform = platform
+        self._drivers: dict[str, Any] = {}
+        self.period = platform.period
+        try:
+            for module, make in drivers.items():
+                self._drivers[module] = make()
+        except ESCAPES as error:
+            self.close()
+            raise Unready(f"the driver of {module} cannot be made: {_told(error)}") from None
+        self._types = {
+            p.name: p.type
+            for p in program.ports
+            if p.direction == "sensor" and p.name.partition(".")[0] in self._drivers
+        }
+        self._values: dict[str, Any] = dict.fromkeys(self._types)  # None: there is none
+        self._trouble = ""
+
+    def diagnose(self) -> list[Finding]:
+        self._sample()
+        names = ", ".join(f"{module} by {type(driver).__name__}" for module, driver in self._drivers.items())
+        trouble = self._trouble
+        hint = "see to its device, or to the driver's class"
+        own = Finding("drivers", "fail", trouble, why=hint) if trouble else Finding("drivers", "ok", names)
+        return [*self._platform.diagnose(), own]
+
+    def start(self, now: float) -> None:
+        self._platform.start(now)
+
+    def poll(self, now: float) -> None:
+        self._platform.poll(now)
+        self._sample()
+
+    @property
+    def ready(self) -> bool:
+        return self._platform.ready and not self._trouble
+
+    @property
+    def progress(self) -> str:
+        return self._platform.progress if not self._platform.ready else self._trouble
+
+    @property
+    def stall(self) -> str:
+        return self._platform.stall
+
+    def sense(self, now: float) -> Sensed:
+        sensed = self._platform.sense(now)
+        return Sensed({**sensed.values, **self._values}, sensed.time)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        self._hand_on(actuators, now, self._platform.command)
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes; drivers are commanded anew."""
+        platform = self._platform
+        self._hand_on(actuators, now, platform.resume if isinstance(platform, Resumes) else platform.command)
+
+    def _hand_on(
+        self, actuators: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]
+    ) -> None:
+        own: dict[str, Any] = {}
+        served: dict[str, dict[str, Any]] = {}
+        for name, value in actuators.items():
+            module, _, port = name.partition(".")
+            if module in self._drivers:
+                served.setdefault(module, {})[port] = value
+            else:
+                own[name] = value
+        if own:
+            to(own, now)
+        for module, written in served.items():
+            try:
+                self._drivers[module].command(written)
+            except ESCAPES as error:
+                raise Unready(f"the driver of {module} did not take a command: {_told(error)}") from None
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        module, _, name = port.partition(".")
+        if module in self._drivers:
+            return self._drivers[module].call(name, args)
+        return self._platform.call(port, args)
+
+    @property
+    def vitals(self) -> Vitals:
+        return vitals(self._platform)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        self._platform.others(paths)
+
+    def news(self) -> list[str]:
+        return self._platform.news()
+
+    def hold(self, on: bool, now: float) -> None:
+        self._platform.hold(on, now)
+
+    def rest(self, now: float) -> None:
+        self._platform.rest(now)
+
+    @property
+    def rested(self) -> bool:
+        return self._platform.rested
+
+    def close(self) -> None:
+        self._platform.close()
+        for driver in self._drivers.values():
+            with suppress(*ESCAPES):
+                getattr(driver, "close", lambda: None)()
+
+    def _sample(self) -> None:
+        trouble = ""
+        for module, driver in self._drivers.items():
+            ports = [name for name in self._types if name.partition(".")[0] == module]
+            try:
+                sensed = driver.sense()
+                for name in ports:
+                    self._values[name] = self._typed(name, sensed[name.partition(".")[2]])
+            except ESCAPES as error:
+                trouble = f"the driver of {module} does not sense: {_told(error)}"
+                self._values.update(dict.fromkeys(ports))
+        self._trouble = trouble
+
+    def _typed(self, name: str, value: Any) -> Any:
+        typed = msgspec.convert(msgspec.to_builtins(value, builtin_types=(bytes,)), self._types[name])
+        if not transmissible(typed):
+            raise ValueError(f"{name} is {value!r}")
+        return typed
+
+
+def _told(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"

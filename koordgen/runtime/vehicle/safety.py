@@ -1,0 +1,97 @@
+"""The safety layer: geofence, own position stale or outside. Pure: it judges, the agent acts.
+
+Frames: local ENU metres. A robot's own position is its sensor called `<Module>.position`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from koordgen.runtime.config.settings import Box, Safety
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Sensed
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What must be done now, and why in words."""
+
+    action: Literal["go", "hold", "rest"]
+    reason: str = ""
+
+
+GO = Verdict("go")
+
+
+def inside(box: Box, p: Point) -> bool:
+    """Whether a point lies in the box, its faces included, its corners given in any order."""
+    lo, hi = _corners(box)
+    return all(a <= v <= b for a, v, b in zip(lo, (p.x, p.y, p.z), hi, strict=True))
+
+
+def clamp(box: Box, p: Point) -> Point:
+    """The point of the box nearest to `p`."""
+    lo, hi = _corners(box)
+    return Point(*(max(a, min(v, b)) for a, v, b in zip(lo, (p.x, p.y, p.z), hi, strict=True)))
+
+
+def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The actuators with every Point (also within a tuple) moved into the box, and the names of those that were."""
+    moved: dict[str, Any] = {name: _into(box, value) for name, value in actuators.items()}
+    return moved, [name for name, value in moved.items() if value != actuators[name]]
+
+
+def own_position(sensed: Sensed) -> Point | None:
+    """The robot's own position, if its target offers one."""
+    for name, value in sensed.values.items():
+        if name.endswith(".position") and isinstance(value, Point):
+            return value
+    return None
+
+
+class Guard:
+    """Watches one robot's own position from the moment it is ready."""
+
+    def __init__(self, safety: Safety, fence: Box) -> None:
+        self._safety = safety
+        self._fence = fence
+        self._since = math.inf  # when watching began
+        self._outside: float | None = None
+
+    def judge(self, sensed: Sensed, now: float) -> Verdict:
+        """What the sensors at local time `now` demand."""
+        self._since = min(self._since, now)
+        age = now - (self._since if sensed.time is None else sensed.time)
+        position = own_position(sensed)
+        if position is not None and not all(map(math.isfinite, (position.x, position.y, position.z))):
+            position, age = None, max(age, now - self._since)
+            if age <= self._safety.position_lost:
+                return Verdict("hold", "own position is not finite")
+        if age > self._safety.position_lost:
+            return Verdict("rest", f"no own position for {age:.1f} s")
+        if position is None or inside(self._fence, position):
+            self._outside = None
+        elif self._outside is None:
+            self._outside = now
+        if self._outside is not None and now - self._outside > self._safety.outside_fence and position is not None:
+            where = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
+            return Verdict("rest", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
+        if age > self._safety.position_stale:
+            return Verdict("hold", f"own position is {age:.1f} s old")
+        return GO
+
+
+def _corners(box: Box) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    a, b = box.lo, box.hi
+    return (min(a.x, b.x), min(a.y, b.y), min(a.z, b.z)), (max(a.x, b.x), max(a.y, b.y), max(a.z, b.z))
+
+
+def _into(box: Box, value: Any) -> Any:
+    if isinstance(value, Point):
+        return clamp(box, value)
+    if isinstance(value, tuple):
+        return tuple(_into(box, v) for v in value)
+    return value

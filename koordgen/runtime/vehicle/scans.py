@@ -1,0 +1,202 @@
+"""The scan feed: what a lidar's driver (or the simulator) tells a robot about what stands around it.
+
+One sealed MessagePack datagram a turn; see `Sweep` for its fields. As in the position feed, sequence numbers only grow
+within a session (one run of the driver). A turn is seen for `WINDOW` seconds after it was measured: a robot may look
+several times a round, and sees the same.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from koordgen.runtime.net.seal import SCAN, seal, unseal
+from koordgen.runtime.values.points import Point, Scan
+from koordgen.runtime.vehicle.datagrams import DatagramLink, UdpLink, listen, waiting
+from koordgen.runtime.vehicle.platform import Finding, Unready
+
+WINDOW = 0.5  # seconds
+PATIENCE = 60.0  # seconds for the first scan: a driver may be started after the robot
+MOST_SCANS = 4  # that are kept: the newest
+MOST_RAYS = 512  # in a turn: it fits in one datagram of 1200 bytes
+FARTHEST = 1000.0  # metres that a lidar may claim to see
+NOTHING = 0xFFFF  # the range of a ray that met nothing
+_TURNS = 100.0  # radians: more is no angle
+_HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
+
+Seen = tuple[Point, Scan]
+Bind = Callable[[str], DatagramLink]
+
+
+class Sweep(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """One turn of robot `robot`'s lidar, measured at `position` (m, local ENU). Ray i points to `first + i * step`
+    radians from east, counter-clockwise: the driver has turned them by the robot's heading. `ranges` are unsigned
+    16-bit numbers, little-endian: 65535 for a ray that met nothing, else 65535ths of `max_range` (m). `age` is
+    the seconds between the measurement and the sending."""
+
+    robot: str
+    session: int
+    sequence: int
+    position: Point
+    first: float
+    step: float
+    max_range: float
+    ranges: bytes
+    age: float = 0.0
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(Sweep)
+
+
+def packed(ranges: Sequence[float], max_range: float) -> bytes:
+    """`Sweep.ranges` of ranges in metres; `max_range` and more stand for a ray that met nothing."""
+    numbers = (
+        NOTHING if r >= max_range else min(NOTHING - 1, round(max(0.0, r) / max_range * NOTHING)) for r in ranges
+    )
+    return struct.pack(f"<{len(ranges)}H", *numbers)
+
+
+def encode(sweep: Sweep, key: bytes | None) -> bytes:
+    """A datagram that carries one turn."""
+    return seal(key, SCAN, _encoder.encode(sweep))
+
+
+class Scans:
+    """Receives one robot's scans. `rejected` counts what was dropped, by reason; nothing received ever raises."""
+
+    def __init__(self, robot: str, key: bytes | None) -> None:
+        self._robot = robot
+        self._key = key
+        self._session = 0
+        self._sequence = -1
+        self._seen: deque[tuple[float, Seen]] = deque(maxlen=MOST_SCANS)
+        self.rejected: dict[str, int] = {}
+
+    @property
+    def heard(self) -> bool:
+        """Whether a scan has ever come."""
+        return self._sequence >= 0
+
+    def take(self, datagram: bytes, now: float) -> bool:
+        """Take a datagram that arrived at `now`; True when it brought a newer turn."""
+        payload = unseal(self._key, SCAN, datagram)
+        if payload is None:
+            return self._reject("not authentic")
+        try:
+            sweep = _decoder.decode(payload)
+        except (ValueError, RecursionError):
+            return self._reject("malformed")
+        if not _sound(sweep):
+            return self._reject("out of range")
+        if sweep.robot != self._robot:
+            return self._reject("another robot's")
+        if sweep.session < self._session or (sweep.session == self._session and sweep.sequence <= self._sequence):
+            return self._reject("old")
+        self._session, self._sequence = sweep.session, sweep.sequence
+        self._seen.append((now - max(0.0, sweep.age), (sweep.position, _scan(sweep))))
+        return True
+
+    def recent(self, now: float) -> tuple[Seen, ...]:
+        """The scans not older than WINDOW, each with where it was measured, the newest last; changes nothing."""
+        return tuple(seen for time, seen in self._seen if now - time <= WINDOW)
+
+    def _reject(self, reason: str) -> bool:
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+        return False
+
+
+class ScanPort:
+    """Where one robot's scans arrive, by its setting `scans`: "udp:HOST:PORT", or "" when it has no lidar."""
+
+    def __init__(self, setting: str, robot: str, key: bytes | None, bind: Bind | None = None) -> None:
+        """`bind` opens what the setting names."""
+        self._setting = setting
+        self._bind = bind or listen_for_scans
+        self._link: DatagramLink | None = None
+        self._began: float | None = None  # when the first scan was first looked for
+        self._patient = True
+        self.scans = Scans(robot, key)
+
+    def open(self) -> None:
+        """Bind the port, if there is one and it is not bound. Raises Unready."""
+        if not self._setting or self._link is not None:
+            return
+        self._link = self._bind(self._setting)
+
+    def poll(self, now: float) -> None:
+        """Take what has arrived. Raises Unready, once, when no scan has come for PATIENCE seconds: the robot must be
+        able to go on to its safe end."""
+        if self._link is None:
+            return
+        for datagram in waiting(self._link):
+            self.scans.take(datagram, now)
+        self._began = now if self._began is None else self._began
+        if self.waiting and self._patient and now - self._began > PATIENCE:
+            self._patient = False
+            raise Unready(f"{self.waiting}, but none has come for {now - self._began:.0f} s", _HINT)
+
+    @property
+    def waiting(self) -> str:
+        """In words, that the first scan is still to come; "" when it has come, or none will."""
+        if not self._setting or self.scans.heard:
+            return ""
+        rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
+        return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
+
+    def diagnose(self, wait: Callable[[float], None]) -> list[Finding]:
+        """For a platform's `diagnose`: whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
+        A lidar slower than WINDOW would often show nothing."""
+        if not self._setting:
+            return []
+        try:
+            self.open()
+            for _ in range(10):
+                self.poll(0.0)
+                if self.scans.heard:
+                    return [Finding("scans", "ok", f"arrive on {self._setting}")]
+                wait(WINDOW / 10)
+        except Unready as error:
+            return [Finding.of("scans", error)]
+        finally:
+            self.close()
+        return [Finding("scans", "fail", f"{self.waiting}, but none has come", f"one within {WINDOW:g} s", _HINT)]
+
+    def close(self) -> None:
+        """Give the port back. Idempotent."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+
+def listen_for_scans(setting: str) -> UdpLink:
+    """Bind the port that a robot's setting `scans` names. Raises Unready."""
+    example = "udp:0.0.0.0:47400; leave it out when there is no lidar"
+    return listen("scans", setting, "scans", "the lidar's driver", example)
+
+
+def _sound(sweep: Sweep) -> bool:
+    """Whether the numbers of a turn are such (comparisons with NaN are false), and as many as they may be."""
+    p = sweep.position
+    return (
+        all(map(math.isfinite, (p.x, p.y, p.z, sweep.age)))
+        and abs(sweep.first) <= _TURNS
+        and abs(sweep.step) <= _TURNS
+        and 0.0 < sweep.max_range <= FARTHEST
+        and len(sweep.ranges) % 2 == 0
+        and 2 <= len(sweep.ranges) <= 2 * MOST_RAYS
+    )
+
+
+def _scan(sweep: Sweep) -> Scan:
+    numbers = struct.unpack(f"<{len(sweep.ranges) // 2}H", sweep.ranges)
+    unit = sweep.max_range / NOTHING
+    return Scan(
+        tuple(sweep.first + i * sweep.step for i in range(len(numbers))),
+        tuple(sweep.max_range if n == NOTHING else n * unit for n in numbers),
+        sweep.max_range,
+    )
