@@ -7,29 +7,26 @@ import gc
 import sys
 from typing import TYPE_CHECKING
 
+from koordgen.cli.building import available_targets, left_out, planned, target_names, write
 from koordgen.cli.commands import parsed
+from koordgen.cli.console import (
+    HOLDS,
+    INTERRUPTED,
+    SURROUNDINGS,
+    USAGE,
+    WRONG,
+    Failure,
+    install,
+    internal_error,
+    output,
+    say,
+    show_rejected,
+    tell,
+)
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Collection, Mapping, Sequence
-    from typing import TextIO
-
-    from koordgen.check.params import Value
-    from koordgen.diagnostics import Diagnostic
-    from koordgen.pipeline import Rejected
-    from koordgen.source import Source
-
-# One table for every command; docs/cli.md prints it.
-HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 70, 130
-
-
-class Failure(Exception):
-    """Ends the command with a message, a way out, and an exit status."""
-
-    def __init__(self, status: int, message: str, help: str = "") -> None:
-        super().__init__(message)
-        self.status = status
-        self.help = help
+    from collections.abc import Callable, Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +52,7 @@ def _unwritten(error: OSError) -> int:
     import os
 
     if not isinstance(error, BrokenPipeError):
-        _say(f"error: {error.filename or 'standard output'}: {error.strerror}")
+        say(f"error: {error.filename or 'standard output'}: {error.strerror}")
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -68,10 +65,10 @@ def _run(options: Namespace) -> int:
     try:
         return _COMMANDS.get(options.command, _harness)(options)
     except Failure as failure:
-        _say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
+        say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
         return failure.status
     except KeyboardInterrupt:
-        _say("interrupted")
+        say("interrupted")
         return INTERRUPTED
     except Exception as error:
         from koordgen.pipeline import Rejected
@@ -79,21 +76,14 @@ def _run(options: Namespace) -> int:
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
         ):
-            _say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
+            say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
         if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
             raise  # `main` ends the command
         if not isinstance(error, Rejected):
-            return _internal(error)
-        _show(error, options)
+            return internal_error(error)
+        show_rejected(error, options)
         return WRONG
-
-
-def install(what: str) -> str:
-    """Return how to install koordgen with an extra, as in "koordgen[prove]", for the running Python."""
-    from koordgen.runtime.ops.host import pip_install
-
-    return pip_install(f"'{what}'")
 
 
 def _help(options: Namespace) -> int:
@@ -114,7 +104,7 @@ def _check(options: Namespace) -> int:
     from koordgen.pipeline import check_file
 
     checked = check_file(options.program)
-    _tell([(checked.source, d) for d in checked.noticed], options)
+    tell([(checked.source, d) for d in checked.noticed], options)
     return HOLDS
 
 
@@ -129,15 +119,15 @@ def _build(options: Namespace) -> int:
     from pathlib import Path
 
     if options.target is None and options.fleet is None:
-        raise Failure(USAGE, "neither --fleet nor --target is given", f"--target names some of {_there_are()}")
-    targets = None if options.target is None else _targets(options.target)
-    bundles, app = _planned(options, targets)
-    if targets is not None and (missing := _left_out(bundles, targets)):
-        _say(f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built")
+        raise Failure(USAGE, "neither --fleet nor --target is given", f"--target names some of {available_targets()}")
+    targets = None if options.target is None else target_names(options.target)
+    bundles, app = planned(options, targets)
+    if targets is not None and (missing := left_out(bundles, targets)):
+        say(f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built")
     folder = Path(options.out) / app
-    _write(bundles, folder)
+    write(bundles, folder)
     for name, files in bundles.items():
-        print(f"{folder / name}  {len(files)} files", file=_output(options))
+        print(f"{folder / name}  {len(files)} files", file=output(options))
     return HOLDS
 
 
@@ -158,7 +148,7 @@ def _fmt(options: Namespace) -> int:
     sys.stdout.buffer.write(output(results, options.format, options.check, options.diff))
     mistakes = [(r.source, d) for r in results for d in r.mistakes]
     if mistakes and options.format == "text":
-        _show(Rejected(mistakes), options)
+        show_rejected(Rejected(mistakes), options)
     refused = [r.refused for r in results if r.refused]
     if refused:
         raise Failure(SURROUNDINGS, "; ".join(refused), "what could not be written stands as it was")
@@ -204,7 +194,7 @@ def _estop(options: Namespace) -> int:
     if options.fleet is None and not options.address:
         raise Failure(USAGE, "no fleet file is named, and no --address", f"nobody was called; {BY_HAND}")
     try:
-        results = stop_fleet(options.fleet, options.key, _say, options.address, options.application)
+        results = stop_fleet(options.fleet, options.key, say, options.address, options.application)
     except CannotStop as error:
         status = USAGE if isinstance(error, BadAddress) else WRONG
         raise Failure(status, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
@@ -236,13 +226,13 @@ def _basestation(options: Namespace) -> int:
     fleet, _ = read_fleet(options.fleet, all_targets(), None)
     line = Line(sys.stderr)
     try:
-        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, _say)
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, say)
         try:
             serving.serve(line.show)
         except KeyboardInterrupt:
             line.end()
             if not serving.camera.end():  # it waits for a frame within its library, and would crash Python's own end
-                _say("interrupted")
+                say("interrupted")
                 os._exit(INTERRUPTED)
             raise
     except CannotServe as error:
@@ -345,169 +335,3 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "campaign": _campaign, "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new,
     "examples": _examples,
 }  # fmt: skip
-
-
-def _targets(text: str) -> list[str]:
-    from koordgen import manifest
-
-    wanted = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in wanted if name not in manifest.available()]
-    if unknown or not wanted:
-        message = f"no target {unknown[0]!r}" if unknown else "--target names no target"
-        raise Failure(USAGE, message, f"the targets are {_there_are()}")
-    return list(dict.fromkeys(wanted))
-
-
-def _there_are() -> str:
-    from koordgen import manifest
-
-    return ", ".join(manifest.available())
-
-
-def _left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str]) -> list[str]:
-    """Return the robots that get no bundle of their own, where bundles of robots are built at all."""
-    import json
-
-    from koordgen import manifest
-
-    if "fleet" not in bundles or all(manifest.load(name).kind != "agent" for name in targets):
-        return []
-    robots = json.loads(bundles["fleet"]["fleet.json"])["peers"]
-    return [robot["name"] for robot in robots if robot["name"] not in bundles]
-
-
-def _planned(
-    options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
-) -> tuple[dict[str, dict[str, bytes]], str]:
-    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names.
-
-    Warnings and notes are told, or, for a command that prints a document of its own, put into `options.collected`.
-    """
-    from koordgen.check.params import BadParam
-    from koordgen.manifest import ManifestError
-    from koordgen.pipeline import plan_file
-
-    try:
-        given = {**more, **_params(options.param)}
-        checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
-    except BadParam as error:
-        raise Failure(USAGE, str(error)) from None
-    except ManifestError as error:
-        raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
-    noticed = [(checked.source, d) for d in checked.noticed]
-    if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
-        collected += noticed
-    else:
-        _tell(noticed, options)
-    return bundles, checked.program.name
-
-
-def _params(given: list[str]) -> dict[str, Value]:
-    if not given:
-        return {}
-    from koordgen.check.params import BadParam, parse_value
-
-    values = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise Failure(USAGE, f"--param {text}: NAME=VALUE is expected")
-        try:
-            values[name] = parse_value(value)
-        except BadParam as error:
-            raise Failure(USAGE, f"--param {text}: {error}") from None
-    return values
-
-
-def _write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
-    from pathlib import Path
-
-    from koordgen.bundle.write import CannotWrite, write
-
-    try:
-        write(bundles, Path(str(folder)))
-    except CannotWrite as error:
-        raise Failure(SURROUNDINGS, str(error), error.hint) from None
-
-
-def _require_packages() -> None:
-    """The harness and the agents run with this very Python."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    from koordgen import manifest
-    from koordgen.runtime.ops.host import needed
-
-    def is_missing(name: str) -> bool:
-        try:
-            version(name)
-        except PackageNotFoundError:
-            return True
-        return False
-
-    missing = set()
-    for target in map(manifest.load, manifest.available()):
-        wanted = set(filter(None, map(needed, target.requirements)))
-        missing |= set(filter(is_missing, wanted - set(target.one_of)))
-        if target.one_of and all(map(is_missing, target.one_of)):
-            missing.add(" or ".join(target.one_of))
-    if missing:
-        message = f"packages are missing: {', '.join(sorted(missing))}"
-        raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))
-
-
-def _print_document(options: Namespace, results: Mapping[str, object]) -> None:
-    """Print the one JSON document of a command: the diagnostics that were collected, and its results."""
-    import json
-
-    from koordgen.diagnostics import as_data
-
-    diagnostics = [as_data(source, diagnostic) for source, diagnostic in options.collected]
-    print(json.dumps({"diagnostics": diagnostics, **results}, indent=2), flush=True)
-
-
-def _show(rejected: Rejected, options: Namespace) -> None:
-    _tell(rejected.found, options)
-    codes = [d.code for _, d in rejected.found if d.severity == "error"]
-    if options.format == "text":
-        _say(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
-
-
-def _tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
-    """All that a command has to say of the user's files, once: for machines a document, even when it is nothing."""
-    if options.format == "json":
-        from koordgen.diagnostics import to_json
-
-        print(to_json(found), flush=True)
-    elif options.format == "sarif":
-        from pathlib import Path
-
-        from koordgen.sarif import to_sarif
-
-        print(to_sarif(found, Path.cwd()), flush=True)
-    elif found:
-        from koordgen.diagnostics import render
-
-        for source, diagnostic in found:
-            _say(render(diagnostic, source))
-
-
-def _output(options: Namespace) -> TextIO | None:
-    """Where a command's own words go: aside when a document for machines has standard output, which None means."""
-    return None if options.format == "text" else sys.stderr
-
-
-def _say(text: str) -> None:
-    from koordgen.cli.terminal import coloured_message
-
-    print(coloured_message(text, sys.stderr), file=sys.stderr)
-
-
-def _internal(error: Exception) -> int:
-    import traceback
-
-    traceback.print_exception(error)
-    _say(
-        f"internal error: {error}\n"
-        "  this is a mistake of koordgen, not of your program: please report it with the above"
-    )
-    return INTERNAL

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
-from koordgen import cli, resources
+from koordgen import resources
+from koordgen.cli import console
 
 
 def afterwards(options: Namespace) -> int:
@@ -13,6 +14,7 @@ def afterwards(options: Namespace) -> int:
     sys.path.insert(0, str(resources.targets().parent))
     from targets.sim.trace import BadTrace
     from targets.sim.view import commands
+    from targets.sim.view.failures import CannotMake
 
     try:
         if options.command == "report":
@@ -21,14 +23,16 @@ def afterwards(options: Namespace) -> int:
             made = commands.show(options.trace, options.at, options.format)
         else:
             made = commands.export(options.trace, options.to, options.out)
-    except commands.CannotMake as error:
-        raise cli.Failure(cli.SURROUNDINGS, str(error), error.hint) from None
+    except CannotMake as error:
+        raise console.Failure(console.SURROUNDINGS, str(error), error.hint) from None
     except BadTrace as error:
-        raise cli.Failure(cli.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it") from None
+        raise console.Failure(
+            console.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it"
+        ) from None
     except OSError as error:
-        raise cli.Failure(
-            cli.SURROUNDINGS,
+        raise console.Failure(
+            console.SURROUNDINGS,
             f"{error.filename or getattr(options, 'out', None) or options.trace}: {error.strerror or error}",
         ) from None
     print(made)
-    return cli.HOLDS
+    return console.HOLDS

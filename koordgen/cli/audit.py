@@ -15,8 +15,8 @@ from koordgen.audit.meaning import Meaning
 from koordgen.audit.reading import found, opened
 from koordgen.audit.show import Audit, document, report
 from koordgen.audit.story import Mission, mission
-from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.alarm import alarm
+from koordgen.cli.console import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.cli.traced import program_of
 from koordgen.ir.decl import Program

@@ -18,16 +18,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from koordgen import cli, manifest
+from koordgen import manifest
 from koordgen.campaign import crew, drive, plan, store, vary
 from koordgen.campaign.task import Job
+from koordgen.cli import building, console
 from koordgen.cli.harness import read_scenario
 from koordgen.cli.terminal import Line
 from koordgen.manifest import Target
 
 SUMS = "SHA256SUMS"
 SCENARIO = "scenario"
-STATUS = {"held": cli.HOLDS, "violated": cli.VIOLATED, "failed": cli.SURROUNDINGS}
+STATUS = {"held": console.HOLDS, "violated": console.VIOLATED, "failed": console.SURROUNDINGS}
 OWN = {
     "out",
     "live",
@@ -48,12 +49,12 @@ def campaign(options: Namespace) -> int:
         _fitting(runs, harness)
     except vary.BadVary as error:
         way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
-        raise cli.Failure(cli.USAGE, str(error), way) from None
+        raise console.Failure(console.USAGE, str(error), way) from None
     if options.verdict and not Path(options.verdict).is_file():
-        raise cli.Failure(cli.WRONG, f"--verdict {options.verdict}: no such file")
+        raise console.Failure(console.WRONG, f"--verdict {options.verdict}: no such file")
     options.collected = []
-    bundles, app = cli._planned(options, [harness.name])
-    cli._require_packages()
+    bundles, app = building.planned(options, [harness.name])
+    building.require_packages()
     fixed = _fixed(options)
     scenarios = _scenarios(runs, bundles[harness.name])
     sums = bundles[harness.name][SUMS] + "".join(scenarios.values()).encode()
@@ -72,9 +73,9 @@ def campaign(options: Namespace) -> int:
                 ended = _ended(carry_out, kept, count, line)
                 _show_table(options, kept, app, count, vary.cells(varied), ended is None)
         except (store.Unusable, crew.Unreachable) as error:
-            raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
+            raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
         except OSError as error:
-            raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
+            raise console.Failure(console.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
     if isinstance(ended, BaseException):
         raise ended
     return STATUS[_verdict(kept)]
@@ -94,10 +95,10 @@ def _show_table(
         if options.format == "json":
             found = json.loads((kept.folder / "campaign.json").read_bytes())
             verdict = _verdict(kept) if whole else "interrupted"
-            cli._print_document(options, {"verdict": verdict, "folder": str(kept.folder), **found})
+            console.print_document(options, {"verdict": verdict, "folder": str(kept.folder), **found})
             return
-        print(text, end="", file=cli._output(options))
-        print(f"table and pictures: {kept.folder}", file=cli._output(options))
+        print(text, end="", file=console.output(options))
+        print(f"table and pictures: {kept.folder}", file=console.output(options))
     except OSError:
         if whole:  # else what ended the campaign is what there is to tell
             raise
@@ -127,12 +128,12 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
         from koordgen.check.params import BadParam
         from koordgen.pipeline import plan_file
 
-        given = cli._params([*options.param, *(f"{name}={value}" for name, value in params.items())])
+        given = building.params([*options.param, *(f"{name}={value}" for name, value in params.items())])
         try:
             _, bundles = plan_file(options.program, [harness.name], options.fleet, given, options.functions)
         except BadParam as error:
-            raise cli.Failure(cli.USAGE, str(error)) from None
-        cli._write({harness.name: bundles[harness.name]}, folder)
+            raise console.Failure(console.USAGE, str(error)) from None
+        building.write({harness.name: bundles[harness.name]}, folder)
 
     return build
 
@@ -182,16 +183,16 @@ def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harn
         flags = [*fixed, *_flags(run)]
         command = [sys.executable, str(bundle), "--check", *flags]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode == cli.USAGE:
+        if done.returncode == console.USAGE:
             said = [line for line in done.stderr.splitlines() if "error:" in line]
             why = said[-1].partition("error:")[2].strip() if said else done.stderr.strip()
             known = ", ".join(sorted(harness.settings))
             way = f"--vary takes seed, param.NAME, options of `koordgen {harness.name}`, and its settings: {known}"
-            raise cli.Failure(cli.USAGE, f"run {run.name} ({shlex.join(flags)}): {why}", way)
+            raise console.Failure(console.USAGE, f"run {run.name} ({shlex.join(flags)}): {why}", way)
         if done.returncode:
             lines = done.stderr.strip().splitlines() or ["it said nothing"]
             more = [line.strip().removeprefix("help: ") for line in lines[1:]]
-            raise cli.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(more))
+            raise console.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(more))
 
 
 def _flags(run: plan.Run) -> list[str]:
@@ -234,10 +235,10 @@ def _ended(
     except drive.DiskFull:
         line.end()
         said = f"the disk is full; {resumable(len(kept.results), planned)}"
-        return cli.Failure(cli.SURROUNDINGS, f"{kept.folder}: {said}", "make room")
+        return console.Failure(console.SURROUNDINGS, f"{kept.folder}: {said}", "make room")
     except crew.Unreachable as lost:
         line.end()
-        return cli.Failure(cli.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)
+        return console.Failure(console.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)
     line.end()
     return None
 

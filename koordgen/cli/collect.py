@@ -6,7 +6,8 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from koordgen import cli, resources
+from koordgen import resources
+from koordgen.cli import console
 from koordgen.cli.fleet_commands import on_hosts
 from koordgen.cli.ssh import read_fleet, status_of
 from koordgen.cli.terminal import Line
@@ -26,19 +27,21 @@ def collect(options: Namespace) -> int:
             _show(fleet, found)
             merged = _merged(folder, fleet, found)
     except CannotCollect as error:
-        raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
+        raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or folder}: {error.strerror or error}") from None
+        raise console.Failure(console.SURROUNDINGS, f"{error.filename or folder}: {error.strerror or error}") from None
     if found.missed:
         errors = [error for error in found.missed.values() if isinstance(error, HostError)]
         names = [robot.name for robot in fleet.robots if robot.name in found.missed]
         said = "\n".join(f"  {_why(name, found)}" for name in names)
         help = "the same command again fetches what is missing, and nothing else"
-        raise cli.Failure(status_of(errors), f"missed {', '.join(names)}\n{said}", help)
+        raise console.Failure(status_of(errors), f"missed {', '.join(names)}\n{said}", help)
     if not merged:
-        raise cli.Failure(cli.WRONG, f"{folder} has no merged trace", "each robot's own traces and log are complete")
+        raise console.Failure(
+            console.WRONG, f"{folder} has no merged trace", "each robot's own traces and log are complete"
+        )
     print(f"run: {folder}; `koordgen report {folder}` shows it")
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def _collected(options: Namespace, fleet: Fleet, into: Folder) -> Collection:
@@ -71,17 +74,17 @@ def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
         whole = flown(folder)
         program = write_source(folder, found.programs, whole.log.program_hash)
         if program is None:
-            cli._say(
+            console.say(
                 f"warning: no release on the robots is of the program that flew, whose hash is {whole.log.program_hash}"
                 f"\n  help: {apart}"
             )
             return False
         write_trace(folder, whole, program, fleet)
     except BadTrace as error:
-        cli._say(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
+        console.say(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
         return False
     for note in whole.notes:
-        cli._say(f"note: {note}")
+        console.say(f"note: {note}")
     return True
 
 

@@ -10,8 +10,8 @@ import argparse
 import sys
 from typing import Any
 
-from koordgen.cli import HOLDS, SURROUNDINGS, Failure
 from koordgen.cli.commands import COMMANDS, command_of, harnesses
+from koordgen.cli.console import HOLDS, SURROUNDINGS, Failure
 from koordgen.cli.parser import Parser
 
 _FOLDERS = {"DIR", "BUNDLE"}

@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from koordgen import cli, resources
+from koordgen import resources
+from koordgen.cli import console
 from koordgen.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
 from koordgen.operate.dashboard import Facts, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access
@@ -26,12 +27,12 @@ def dashboard(options: Namespace) -> int:
     """Serve the dashboard of a fleet until Ctrl-C."""
     try:
         allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
-        found = find_fleet(Path(options.fleet), cli._say)
-        key = find_key(found, options.fleet, options.key, cli._say)
+        found = find_fleet(Path(options.fleet), console.say)
+        key = find_key(found, options.fleet, options.key, console.say)
     except CannotStop as error:
-        raise cli.Failure(cli.WRONG, str(error), f"{error.help}nobody was asked") from None
+        raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     except Refused as error:
-        raise cli.Failure(cli.USAGE if error.usage else cli.SURROUNDINGS, str(error), error.help) from None
+        raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
     facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
     from targets.sim.view.dashboard import Dashboard, FleetServer, first_header
@@ -50,7 +51,7 @@ def dashboard(options: Namespace) -> int:
     except (OSError, OverflowError) as error:
         board.close()
         message = f"{allowed.host}:{options.port}: {getattr(error, 'strerror', None) or error}"
-        raise cli.Failure(cli.SURROUNDINGS, message, "`--port N` names another port") from None
+        raise console.Failure(console.SURROUNDINGS, message, "`--port N` names another port") from None
     print(f"dashboard: {server.url}", flush=True)
     if allowed.token:
         print(f"it asks for the token that is in {options.token}", flush=True)
@@ -63,7 +64,7 @@ def dashboard(options: Namespace) -> int:
     finally:
         board.close()
         server.shutdown()
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def _stream(header: Header, port: int) -> FoxgloveServer:
@@ -74,10 +75,10 @@ def _stream(header: Header, port: int) -> FoxgloveServer:
         server = FoxgloveServer(header, port)
     except ModuleNotFoundError as error:
         message = f"the Python package {error.name!r} is missing"
-        raise cli.Failure(cli.SURROUNDINGS, message, pip_install("'koordgen[foxglove]'")) from None
+        raise console.Failure(console.SURROUNDINGS, message, pip_install("'koordgen[foxglove]'")) from None
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, str(error)) from None
-    cli._say(f"foxglove: {server.url}")
+        raise console.Failure(console.SURROUNDINGS, str(error)) from None
+    console.say(f"foxglove: {server.url}")
     return server
 
 
@@ -92,7 +93,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
         read, _ = read_fleet(path, all_targets(), None)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
-        cli._say(f"warning: the map has no obstacles: {path}: {reason}")
+        console.say(f"warning: the map has no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
@@ -106,7 +107,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
 
     def stop() -> list[dict[str, Any]]:
         results = stop_all(fleet.places, fleet.application, key, PATIENCE)
-        cli._say(f"emergency stop from the dashboard\n{show(results, 'text')}")
+        console.say(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots
 

@@ -11,8 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen import cli
-from koordgen.cli import ssh
+from koordgen.cli import building, console, ssh
 from koordgen.cli.terminal import Line
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def deploy(options: Namespace) -> int:
     from koordgen.operate import deploy as deployment
 
     options.collected = []
-    bundles, app = cli._planned(options, None)
+    bundles, app = building.planned(options, None)
     fleet = ssh.read_fleet(options.fleet)
     hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
     robots = {robot.name: bundles[robot.name] for robot in fleet.robots}
@@ -60,9 +59,9 @@ def _new_key(options: Namespace) -> int:
         _write_key(Path(options.file), secrets.token_bytes(32))
     except FileExistsError:
         help = "a key is never overwritten; choose another name, or change it with `koordgen key rotate FLEET`"
-        raise cli.Failure(cli.SURROUNDINGS, f"{options.file} exists", help) from None
+        raise console.Failure(console.SURROUNDINGS, f"{options.file} exists", help) from None
     print(f"{options.file}: keep it beside the fleet file; `koordgen deploy` brings it to every robot")
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def _rotate(options: Namespace) -> int:
@@ -73,7 +72,9 @@ def _rotate(options: Namespace) -> int:
     options.collected = []
     fleet = ssh.read_fleet(options.file)
     if not fleet.key:
-        raise cli.Failure(cli.WRONG, f"{options.file}: the fleet is insecure, so it has no key", "set `key` instead")
+        raise console.Failure(
+            console.WRONG, f"{options.file}: the fleet is insecure, so it has no key", "set `key` instead"
+        )
     hosts, connecting = ssh.fleet_hosts(fleet, options.file), ssh.connection(options)
     options.fleet = options.file
     old = _key_file(fleet, options)
@@ -97,7 +98,7 @@ def _rotate(options: Namespace) -> int:
         return done
 
     status = _run(options, finish)
-    if status == cli.HOLDS and options.format == "text":
+    if status == console.HOLDS and options.format == "text":
         print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
     return status
 
@@ -110,7 +111,7 @@ def _take_place(old: Path, before: Path, waiting: Path) -> None:
         os.replace(waiting, old)
     except OSError as error:
         message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
-        raise cli.Failure(cli.SURROUNDINGS, message, "run the command again: it only moves the files") from None
+        raise console.Failure(console.SURROUNDINGS, message, "run the command again: it only moves the files") from None
 
 
 def _with(path: Path, ending: str) -> Path:
@@ -132,7 +133,7 @@ def _write_key(path: Path, content: bytes) -> None:
     except FileExistsError:
         raise
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{path}: {error.strerror}") from None
+        raise console.Failure(console.SURROUNDINGS, f"{path}: {error.strerror}") from None
 
 
 def _key_file(fleet: Fleet, options: Namespace) -> Path:
@@ -154,7 +155,7 @@ def _read_key(path: Path) -> bytes:
     try:
         return load_key(path)
     except BadKey as error:
-        raise cli.Failure(cli.WRONG, str(error), "nothing was changed") from None
+        raise console.Failure(console.WRONG, str(error), "nothing was changed") from None
 
 
 def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
@@ -167,10 +168,10 @@ def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
     except Failed as failed:
         return _report_failure(options, failed)
     if options.format == "json":
-        cli._print_document(options, _as_data(done))
+        console.print_document(options, _as_data(done))
     else:
         print(_as_text(done))
-    return cli.HOLDS
+    return console.HOLDS
 
 
 @contextmanager
@@ -184,21 +185,21 @@ def _progress(options: Namespace) -> Iterator[Say]:
 
 
 def _report_failure(options: Namespace, failed: Failed) -> int:
-    status = ssh.status_of(failed.errors) if failed.errors else cli.INTERRUPTED
+    status = ssh.status_of(failed.errors) if failed.errors else console.INTERRUPTED
     from koordgen.operate.deploy import Missed
 
     if isinstance(failed, Missed):
-        status = cli.WRONG
+        status = console.WRONG
     if options.format == "json":
         errors = [
             {"robots": list(each.host.robots), "host": each.host.login.text, "error": each.code,
              "message": each.message, "help": each.help} for each in failed.errors
         ]  # fmt: skip
-        cli._print_document(options, {"release": None, "outcome": failed.outcome, "errors": errors})
+        console.print_document(options, {"release": None, "outcome": failed.outcome, "errors": errors})
         return status
     for error in failed.errors:
-        cli._say(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
-    cli._say(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
+        console.say(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
+    console.say(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
     return status
 
 

@@ -7,7 +7,8 @@ from argparse import Namespace
 from difflib import get_close_matches
 from pathlib import Path
 
-from koordgen import cli, resources
+from koordgen import resources
+from koordgen.cli import console
 
 LIST = "`koordgen docs` lists all pages"
 
@@ -20,7 +21,7 @@ def docs(options: Namespace) -> int:
         page, marker, anchor = options.page.partition("#")
         text = _page(page)
         print(_section(text, page, anchor) if marker else text, end="")
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def pages() -> dict[str, Path]:
@@ -73,7 +74,7 @@ def _page(name: str) -> str:
     if name not in there:
         near = get_close_matches(Path(name).stem, there, 1)
         help = f"did you mean `koordgen docs {near[0]}`? " if near else ""
-        raise cli.Failure(cli.USAGE, f"no page {name!r}", help + LIST)
+        raise console.Failure(console.USAGE, f"no page {name!r}", help + LIST)
     return there[name].read_text(encoding="utf-8")
 
 
@@ -83,5 +84,5 @@ def _section(text: str, page: str, anchor: str) -> str:
     if anchor not in there:
         near = get_close_matches(anchor, there, 1)
         help = f"did you mean `koordgen docs {page}#{near[0]}`? " if near else ""
-        raise cli.Failure(cli.USAGE, f"no section {page}#{anchor}", f"{help}its sections: {', '.join(there)}")
+        raise console.Failure(console.USAGE, f"no section {page}#{anchor}", f"{help}its sections: {', '.join(there)}")
     return there[anchor]

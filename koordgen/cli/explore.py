@@ -12,8 +12,9 @@ from typing import Any
 
 from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
-from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
 from koordgen.cli.alarm import alarm
+from koordgen.cli.building import params
+from koordgen.cli.console import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, tell
 from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.diagnostics import Diagnostic
@@ -40,11 +41,11 @@ def explore(options: Namespace) -> int:
     """The whole command."""
     checked = check_file(options.program)
     if options.format == "text":
-        _tell([(checked.source, d) for d in checked.noticed], options)
+        tell([(checked.source, d) for d in checked.noticed], options)
     robots, from_fleet = _fleet(options, checked)
     try:
         around = _environment(options, checked.program, robots)
-        given = {**from_fleet, **around.params, **_params(options.param)}
+        given = {**from_fleet, **around.params, **params(options.param)}
         program = with_params(checked.program, given)
         result = _searched(options, program, robots, around, lambda: _about(options, program, robots, around, given))
     except BadParam as error:

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from datetime import datetime
 from typing import TypeVar
 
-from koordgen import cli
+from koordgen.cli import console
 from koordgen.cli.parser import nearest
 from koordgen.cli.ssh import connection, describe, fleet_hosts, read_fleet, status_of
 from koordgen.cli.terminal import coloured_name
@@ -31,9 +31,9 @@ def start(options: Namespace) -> int:
     try:
         done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
     except Refused as error:
-        raise cli.Failure(cli.WRONG, str(error), error.help) from None
+        raise console.Failure(console.WRONG, str(error), error.help) from None
     except HostError as error:
-        raise cli.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
+        raise console.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
     if done.robots:
         print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
     if done.idle:
@@ -67,14 +67,14 @@ def logs(options: Namespace) -> int:
 
     def note(error: HostError) -> None:
         lost.append(error)
-        cli._say(f"warning: {describe([error])}")
+        console.say(f"warning: {describe([error])}")
 
     robots = _chosen(fleet, options.robots)
     on_hosts(options, fleet, robots, lambda opened: show_lines(opened, options.lines, options.follow, show, note))
     if lost:
         names = ", ".join(robot for error in lost for robot in error.host.robots)
-        raise cli.Failure(status_of(lost), f"lines of {names} are missing", "see the warnings above")
-    return cli.HOLDS
+        raise console.Failure(status_of(lost), f"lines of {names} are missing", "see the warnings above")
+    return console.HOLDS
 
 
 def doctor(options: Namespace) -> int:
@@ -105,14 +105,14 @@ def _chosen(fleet: Fleet, robots: Sequence[str]) -> Sequence[str] | None:
     if strange := [name for name in robots if name not in known]:
         near = nearest(strange[0], known)
         help = (f"did you mean {near}? " if near else "") + f"the robots are {', '.join(known)}"
-        raise cli.Failure(cli.USAGE, f"no robot {strange[0]!r} is in the fleet file", help)
+        raise console.Failure(console.USAGE, f"no robot {strange[0]!r} is in the fleet file", help)
     return robots or None
 
 
 def _ended(done: Done, help: str) -> int:
     if done.failed:
-        raise cli.Failure(status_of(done.failed), describe(done.failed), help)
-    return cli.HOLDS
+        raise console.Failure(status_of(done.failed), describe(done.failed), help)
+    return console.HOLDS
 
 
 def _names(fleet: Fleet, robots: Sequence[str]) -> str:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.check.params import BadParam, Value, as_given, with_params
-from koordgen.cli import INCONCLUSIVE, USAGE, WRONG, Failure, _params
+from koordgen.cli.building import params
+from koordgen.cli.console import INCONCLUSIVE, USAGE, WRONG, Failure
 from koordgen.cli.prove import hash_of
 from koordgen.follow.exact import agree, nearest
 from koordgen.follow.plan import CannotFollow, ModelOnly, document, planned
@@ -56,7 +57,7 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
             f"name a fleet of {given.n_sys}, or look for a counterexample with --robots {len(fleet.robots)}",
         )  # fmt: skip
     try:
-        own = {**from_file, **_params(options.param)}
+        own = {**from_file, **params(options.param)}
         told = _told(checked.program, given)
         asked = {name: told[name] for name in given.given}
         more = {name: value for name, value in asked.items() if name not in own}

@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from koordgen import cli, manifest
+from koordgen import manifest
+from koordgen.cli import building, console
 from koordgen.cli.options import PASSED
 
 # One robot in the middle of a free space: metres (local ENU), radians, seconds.
@@ -32,21 +33,23 @@ def harness(options: Namespace) -> int:
     if options.fleet is not None:
         return _harness(options)
     if options.follow is not None:
-        raise cli.Failure(cli.USAGE, "--follow needs --fleet", "name a fleet of as many robots as the trace has")
+        raise console.Failure(
+            console.USAGE, "--follow needs --fleet", "name a fleet of as many robots as the trace has"
+        )
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         options.fleet = f"{folder}/fleet.yaml"
         target = manifest.load(options.command).alone
         Path(options.fleet).write_text(ALONE.format(target=target), encoding="utf-8")
         more = "a fleet file names more robots (`koordgen docs fleet`)"
-        cli._say(f"note: no --fleet: one simulated {target} runs alone; {more}")
+        console.say(f"note: no --fleet: one simulated {target} runs alone; {more}")
         return _harness(options)
 
 
 def _harness(options: Namespace) -> int:
     options.collected = []
     more, plan = _followed(options)
-    bundles, app = cli._planned(options, [options.command], more)
-    cli._require_packages()
+    bundles, app = building.planned(options, [options.command], more)
+    building.require_packages()
     bundle = bundles[options.command]
     scenario = read_scenario(options.scenario, bundle, options.duration) if options.scenario else None
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
@@ -56,7 +59,7 @@ def _harness(options: Namespace) -> int:
     flags = ("lockstep", "gui", "quiet", "no-report")
     passed += [f"--{flag}" for flag in flags if getattr(options, flag.replace("-", "_"))]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
-        cli._write({options.command: bundle}, Path(folder))
+        building.write({options.command: bundle}, Path(folder))
         if plan is not None:
             follow = Path(folder) / "follow.json"
             follow.write_text(json.dumps(plan), encoding="utf-8")
@@ -82,7 +85,7 @@ def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> 
     except (OSError, ValueError):
         return
     results = {"verdict": found["verdict"], "status": status, "folder": str(out), "summary": found}
-    cli._print_document(options, results)
+    console.print_document(options, results)
 
 
 def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:
@@ -108,7 +111,7 @@ def _run(command: list[str], options: Namespace) -> int:
     heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]  # not with nohup
     before = {each: signal.signal(each, pass_on) for each in heard}
     try:
-        started.append(subprocess.Popen(command, stdout=cli._output(options), process_group=0))
+        started.append(subprocess.Popen(command, stdout=console.output(options), process_group=0))
         for asked in early:
             started[0].send_signal(asked)
         status = started[0].wait()
@@ -117,7 +120,7 @@ def _run(command: list[str], options: Namespace) -> int:
             signal.signal(each, handler)
     if status < 0:
         message = f"the run was killed by {signal.Signals(-status).name}; it left no report"
-        raise cli.Failure(cli.SURROUNDINGS, message)
+        raise console.Failure(console.SURROUNDINGS, message)
     return status
 
 

@@ -6,7 +6,8 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from koordgen.cli import (
+from koordgen.cli.building import params
+from koordgen.cli.console import (
     HOLDS,
     INCONCLUSIVE,
     INTERNAL,
@@ -14,10 +15,9 @@ from koordgen.cli import (
     USAGE,
     VIOLATED,
     Failure,
-    _params,
-    _say,
-    _tell,
     install,
+    say,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -65,13 +65,13 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
 
     checked = check_file(options.program)
     if options.format == "text":
-        _tell([(checked.source, d) for d in checked.noticed], options)
-    given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
+        tell([(checked.source, d) for d in checked.noticed], options)
+    given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
     question = fixed(checked.program, given)
     found = asked(checked.program, question, options.robots, solver, _total(options))
     attacks = attacked(checked.program, question, found, solver, options)
     solver.stop()  # what it holds is freed while we tell
-    tell(options, found, attacks)
+    tell_verdicts(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
@@ -79,7 +79,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         if made:
             save(options.trace, made)
         else:
-            _say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
+            say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
     return status(found)
 
 
@@ -133,7 +133,7 @@ def status(found: list[list[Verdict]]) -> int:
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def tell(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
+def tell_verdicts(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
     from koordgen.cli.terminal import coloured_verdicts
     from koordgen.prove.show import document, report
 

@@ -8,9 +8,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from koordgen import cli
 from koordgen.campaign import drive, store
 from koordgen.cli import campaign as campaigns
+from koordgen.cli import console
 from koordgen.cli.terminal import Line
 from koordgen.validate.probe import BadProbe
 from koordgen.validate.reach import Asked, comparisons, reachsets, written
@@ -30,10 +30,10 @@ def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
             found = reachsets(options.fleet, (), asked, crew, runs, show, lambda: bool(noticed))
         files = written(found, folder)
     except BadProbe as error:
-        raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
+        raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except drive.DiskFull:
-        raise cli.Failure(
-            cli.SURROUNDINGS, f"{folder}: the disk is full", "make room; the same command goes on"
+        raise console.Failure(
+            console.SURROUNDINGS, f"{folder}: the disk is full", "make room; the same command goes on"
         ) from None
     finally:
         line.end()

@@ -7,8 +7,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from koordgen.cli import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, _say
 from koordgen.cli.alarm import alarm
+from koordgen.cli.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, say
 from koordgen.cli.traced import program_of
 from koordgen.replay.fleet import replayed
 from koordgen.replay.functions import CannotCall, externs
@@ -45,21 +45,21 @@ def replay(options: Namespace) -> int:
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     for difference in found[:MOST_TOLD]:
-        _say(_told(difference, trace))
+        say(_told(difference, trace))
     if len(found) > MOST_TOLD:
-        _say(f"... and {len(found) - MOST_TOLD} more")
+        say(f"... and {len(found) - MOST_TOLD} more")
     late = f", {counts.late} that overran left aside" if counts.late else ""
     if counts.violated:
         where = f"{_count(counts.violated, 'event')}"
-        _say(f"note: a loop invariant was false in {where}, as the program means: `koordgen audit` says which")
+        say(f"note: a loop invariant was false in {where}, as the program means: `koordgen audit` says which")
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
-        _say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
+        say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
     if trace.since:
-        _say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
+        say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
     if ended:
-        _say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
+        say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen import cli
+from koordgen.cli import console
 
 if TYPE_CHECKING:
     from koordgen.fleet import Fleet
@@ -33,8 +33,8 @@ def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) ->
         return hosts_of(fleet, robots)
     except NoHosts as error:
         if error.is_file_wrong:
-            raise cli.Failure(cli.WRONG, f"{path}: {error}", error.help) from None
-        raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
+            raise console.Failure(console.WRONG, f"{path}: {error}", error.help) from None
+        raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
 
 
 def connection(options: Namespace) -> Options:
@@ -43,7 +43,9 @@ def connection(options: Namespace) -> Options:
 
     for path in (options.ssh_config, options.known_hosts, options.identity):
         if path is not None and not Path(path).is_file():
-            raise cli.Failure(cli.WRONG, f"{path}: no such file", "look at --ssh-config, --known-hosts and --identity")
+            raise console.Failure(
+                console.WRONG, f"{path}: no such file", "look at --ssh-config, --known-hosts and --identity"
+            )
     return Options(options.ssh_config, options.known_hosts, options.identity)
 
 
@@ -54,4 +56,4 @@ def describe(errors: Iterable[HostError]) -> str:
 
 def status_of(errors: Iterable[HostError]) -> int:
     """Return the exit status: SURROUNDINGS when a host was not reached, else WRONG."""
-    return cli.SURROUNDINGS if any(error.code in UNREACHABLE for error in errors) else cli.WRONG
+    return console.SURROUNDINGS if any(error.code in UNREACHABLE for error in errors) else console.WRONG

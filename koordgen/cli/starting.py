@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
-from koordgen import cli, resources
+from koordgen import resources
+from koordgen.cli import console
 
 LONGEST = 40  # characters of a program's name
 _KINDS = (".koord", ".yaml", ".py", ".md")  # what an example consists of, beside what running it has left
@@ -25,14 +26,14 @@ def new(options: Namespace) -> int:
     folder = Path(name)
     try:
         if folder.exists() and any(folder.iterdir()):
-            raise cli.Failure(cli.SURROUNDINGS, f"the folder {name} is not empty", "choose another name")
+            raise console.Failure(console.SURROUNDINGS, f"the folder {name} is not empty", "choose another name")
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{name}: {error.strerror}", "choose another name") from None
+        raise console.Failure(console.SURROUNDINGS, f"{name}: {error.strerror}", "choose another name") from None
     starter = resources.templates() / "new"
     program, fleet = folder / f"{name}.koord", folder / "fleet.yaml"
     _write({program: (starter / "program.koord").read_bytes(), fleet: (starter / "fleet.yaml").read_bytes()})
     print(_next_steps(program, fleet))
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def examples(options: Namespace) -> int:
@@ -40,12 +41,12 @@ def examples(options: Namespace) -> int:
     there = {path.parent.name: path.parent for path in sorted(resources.examples().glob("*/README.md"))}
     if options.action is None:
         print(_listing(there))
-        return cli.HOLDS
+        return console.HOLDS
     if options.name not in there:
         near = get_close_matches(options.name or "", there, 1)
         help = f"did you mean {near[0]}? " if near else "for example `koordgen examples copy lineform`; "
         what = f"no example {options.name!r}" if options.name else "which example is to be copied?"
-        raise cli.Failure(cli.USAGE, what, f"{help}`koordgen examples` lists all examples")
+        raise console.Failure(console.USAGE, what, f"{help}`koordgen examples` lists all examples")
     usual = f"examples/{options.name}"
     folder = Path(options.folder or usual)
     files = {path.name: path.read_bytes() for path in there[options.name].iterdir() if path.suffix in _KINDS}
@@ -53,7 +54,7 @@ def examples(options: Namespace) -> int:
     files["README.md"] = files["README.md"].replace(f"{usual}/".encode(), f"{folder.as_posix()}/".encode())
     _write({folder / name: data for name, data in files.items()})
     print(f"{folder}: {len(files)} files; its page, {folder / 'README.md'}, says how to run it")
-    return cli.HOLDS
+    return console.HOLDS
 
 
 def _refuse_name(name: str) -> None:
@@ -63,7 +64,7 @@ def _refuse_name(name: str) -> None:
     fits = _NAME.fullmatch(proposed) and len(proposed) <= LONGEST
     rule = f"use letters, digits and _, at most {LONGEST} of them, and begin with a letter"
     help = f"{rule}: for example `koordgen new {proposed}`" if fits else rule
-    raise cli.Failure(cli.USAGE, f"{name!r} cannot be a program's name", help)
+    raise console.Failure(console.USAGE, f"{name!r} cannot be a program's name", help)
 
 
 def _next_steps(program: Path, fleet: Path) -> str:
@@ -106,11 +107,11 @@ def _write(files: Mapping[Path, bytes]) -> None:
     standing = [path for path in files if os.path.lexists(path)]
     if standing:
         help = "nothing was written; choose another folder, or move what is there"
-        raise cli.Failure(cli.SURROUNDINGS, f"{', '.join(map(str, standing))}: there already", help)
+        raise console.Failure(console.SURROUNDINGS, f"{', '.join(map(str, standing))}: there already", help)
     try:
         for path, data in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as file:
                 file.write(data)
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{error.filename}: {error.strerror}") from None
+        raise console.Failure(console.SURROUNDINGS, f"{error.filename}: {error.strerror}") from None

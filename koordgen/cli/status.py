@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen import cli
+from koordgen.cli import console
 from koordgen.estop import CannotStop, find_fleet, find_key
 from koordgen.operate.status import Asked, ask_all, odd_releases, table, to_json, with_hosts
 
@@ -23,10 +23,10 @@ _EVERY = 1.0  # seconds from one table to the next
 def status(options: Namespace) -> int:
     """Ask the fleet and print the answers; the status says whether all robots answered and are of one release."""
     try:
-        fleet = find_fleet(Path(options.fleet), cli._say)
-        key = find_key(fleet, options.fleet, options.key, cli._say)
+        fleet = find_fleet(Path(options.fleet), console.say)
+        key = find_key(fleet, options.fleet, options.key, console.say)
     except CannotStop as error:
-        raise cli.Failure(cli.WRONG, str(error), f"{error.help}nobody was asked") from None
+        raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     while True:
         began = time.monotonic()
         answers = _ask_hosts(options, ask_all(fleet, key))
@@ -57,7 +57,7 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
     try:
         return asyncio.run(ask())
     except NoHosts as error:
-        cli._say(f"warning: the hosts of {', '.join(silent)} were not asked over SSH: {error}\n  help: {error.help}")
+        console.say(f"warning: the hosts of {', '.join(silent)} were not asked over SSH: {error}\n  help: {error.help}")
         return answers
 
 
@@ -81,20 +81,20 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
 def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
     if odd := odd_releases(answers):
         help = "build once with one fleet file, and copy every robot's bundle; `koordgen deploy` does both"
-        raise cli.Failure(_silent_status(answers), f"another release than the rest: {', '.join(odd)}", help)
+        raise console.Failure(_silent_status(answers), f"another release than the rest: {', '.join(odd)}", help)
     silent = [each for each in answers if each.report is None]
     if silent and all(each.host is not None and each.host.release and not each.host.running for each in silent):
         help = f"`koordgen start {options.fleet}` starts the agents"
-        raise cli.Failure(cli.SURROUNDINGS, f"the agents of {_names(silent)} do not run", help)
+        raise console.Failure(console.SURROUNDINGS, f"the agents of {_names(silent)} do not run", help)
     if silent:
         help = "are their computers on, and do their agents run? `python3 BUNDLE --status` asks on the robot itself"
-        raise cli.Failure(cli.SURROUNDINGS, f"no answer from {_names(silent)}", help)
-    return cli.HOLDS
+        raise console.Failure(console.SURROUNDINGS, f"no answer from {_names(silent)}", help)
+    return console.HOLDS
 
 
 def _silent_status(answers: Sequence[Asked]) -> int:
     """A robot that gave no answer weighs more than one with another release, as far as nothing is known of it."""
-    return cli.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else cli.WRONG
+    return console.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else console.WRONG
 
 
 def _names(answers: Sequence[Asked]) -> str:

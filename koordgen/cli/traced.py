@@ -7,7 +7,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from koordgen.cli import USAGE, WRONG, Failure, _params
+from koordgen.cli.building import params
+from koordgen.cli.console import USAGE, WRONG, Failure
 from koordgen.ir.decl import Program
 
 SOURCE, PARAMS = "source", "params.json"  # as bundle/plan.py and the harness leave them
@@ -24,7 +25,7 @@ def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Prog
     place, beside = _place(options, trace)
     checked = check_file(str(place))
     try:
-        given = {**fleet_params(options.fleet, checked, str(place)), **beside, **_params(options.param)}
+        given = {**fleet_params(options.fleet, checked, str(place)), **beside, **params(options.param)}
         program = with_params(checked.program, given)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None

@@ -13,12 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from koordgen import cli, manifest
+from koordgen import manifest
 from koordgen.campaign import drive, store
 from koordgen.campaign.crew import Unreachable
 from koordgen.campaign.plan import VALIDATION, Plan, Run
 from koordgen.campaign.task import Job
 from koordgen.check.params import Value
+from koordgen.cli import building, console
 from koordgen.cli import campaign as campaigns
 from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.pipeline import Checked, check_file, fleet_params
@@ -29,7 +30,7 @@ from koordgen.validate.suggest import Suggestion, suggestions
 from koordgen.validate.verdict import Bound, Case, Verdict, verdicts
 
 LIMITS = Limits(query=10.0, total=60.0)
-STATUS = {"VALIDATED": cli.HOLDS, "VIOLATED": cli.VIOLATED, "INCONCLUSIVE": cli.INCONCLUSIVE}
+STATUS = {"VALIDATED": console.HOLDS, "VIOLATED": console.VIOLATED, "INCONCLUSIVE": console.INCONCLUSIVE}
 FLAGS = ("--lockstep", "--windows")
 
 
@@ -38,13 +39,13 @@ def validate(options: Namespace) -> int:
     checked = check_file(options.program)
     if not any(module.assumptions for module in checked.program.modules):
         way = "say under `using` what is taken for granted, such as `assume position' in Rect(position, target)`"
-        raise cli.Failure(cli.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
+        raise console.Failure(console.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
     count = options.samples or Bound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
     aside = Namespace(**{**vars(options), "format": "text"})  # one document on standard output
-    bundles, app = cli._planned(aside, [harness.name])
-    cli._require_packages()
+    bundles, app = building.planned(aside, [harness.name])
+    building.require_packages()
     out = Path(options.out or f"validate-{app}")
     line = Line(sys.stderr)
     try:
@@ -53,9 +54,9 @@ def validate(options: Namespace) -> int:
         reach = _reachsets(aside, out, line) if options.reachsets and ended is None else {}
         _tell(options, found, out, ended is None, reach)
     except (store.Unusable, Unreachable) as error:
-        raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
+        raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
+        raise console.Failure(console.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
     if ended is not None:
         raise ended
     return STATUS[found.verdict]
@@ -141,7 +142,10 @@ def _suggested(
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
     if not violated:
         return []
-    given: dict[str, Value] = {**fleet_params(options.fleet, checked, options.program), **cli._params(options.param)}
+    given: dict[str, Value] = {
+        **fleet_params(options.fleet, checked, options.program),
+        **building.params(options.param),
+    }
     try:
         with solver_of("z3", LIMITS) as solver:
             return [
@@ -149,7 +153,7 @@ def _suggested(
             ]
     except SolverMissing as error:
         line.end()
-        cli._say(f"note: {error}: what could be assumed instead was not proved")
+        console.say(f"note: {error}: what could be assumed instead was not proved")
         return []
 
 

@@ -24,7 +24,7 @@ from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value as KoordValue
 
 if TYPE_CHECKING:
-    from koordgen.prove.verdict import Outcome
+    from koordgen.prove.solve import Outcome
 
 FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
 MOST = 1.0  # seconds of one query that is no proof

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.prove import term as t
-from koordgen.prove.encode.expr import Scope
+from koordgen.prove.encode.encoder import Scope
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import State, Written

@@ -10,7 +10,7 @@ from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
-from koordgen.prove.encode.expr import Scope
+from koordgen.prove.encode.encoder import Scope
 from koordgen.prove.encode.function import Functions
 from koordgen.prove.encode.loop import conjuncts, written
 from koordgen.prove.encode.quantifier import domain as domain_of

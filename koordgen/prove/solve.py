@@ -16,12 +16,51 @@ from contextlib import suppress
 from typing import Literal, NamedTuple, Self
 
 from koordgen.diagnostics import InternalError
-from koordgen.prove.batch import Batch
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.process import Ended, Process, allowed
 from koordgen.prove.sexpr import ModelValue, Unreadable, values
 from koordgen.prove.smtlib import script, together
 from koordgen.prove.term import TRUE, Term, not_
+
+BRIEF = 0.5  # seconds for each query: what takes longer is asked alone, with all the time that it may have
+MARK = "koordgen-batch"
+WORDS: frozenset[str] = frozenset(("sat", "unsat", "unknown"))
+
+
+class Batch:
+    """The queries that were sent to one process, in their order."""
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
+        self.sent: list[tuple[Obligation, int, float]] = []  # how many goals each has, and when they were sent
+
+    def add(self, room: Sequence[Obligation]) -> None:
+        """Sends a room's obligations. Raises Broken."""
+        parts = [self.solver.parts(obligation) for obligation in room]
+        head, goals = together(room, parts)
+        asked = [f'(push)\n{goal}(check-sat)\n(echo "{MARK}")\n(pop)\n' for each in goals for goal in each]
+        self.solver.send(self.solver.room(room[0].logic, False, False, BRIEF) + head + "".join(asked))
+        now = time.monotonic()
+        self.sent += [(obligation, len(each), now) for obligation, each in zip(room, parts, strict=True)]
+
+    def answers(self) -> dict[int, tuple[Result, float]]:
+        """By the obligation's id, what is said of it, and after how many seconds it came: of answers that come at
+        once, the first. None where anything but answers was said. Raises Broken."""
+        count = sum(goals for _, goals, _ in self.sent)
+        said, came = self.solver.rest(MARK, BRIEF * count)
+        words, marks = said[::2], said[1::2]
+        if len(said) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
+            return {}
+        found: dict[int, tuple[Result, float]] = {}
+        at, last = 0, 0.0
+        for obligation, goals, sent in self.sent:
+            own = words[at : at + goals]
+            at += goals
+            result: Result = "sat" if "sat" in own else "unknown" if "unknown" in own else "unsat"
+            found[id(obligation)] = result, max(0.0, came[at - 1] - max(last, sent))
+            last = came[at - 1]
+        return found
+
 
 Result = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
@@ -369,3 +408,14 @@ class Both:
 def solver_of(name: str, limits: Limits) -> Solver | Both:
     """z3, cvc5 or both. Raises SolverMissing."""
     return Both([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
+
+
+class Outcome(NamedTuple):
+    """One obligation and what the solver said of it."""
+
+    obligation: Obligation
+    answer: Answer
+
+    @property
+    def holds(self) -> bool:
+        return self.answer.result == self.obligation.expected

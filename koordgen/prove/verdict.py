@@ -17,7 +17,7 @@ from koordgen.prove.ledger import Entry, Ledger
 from koordgen.prove.moment import Told
 from koordgen.prove.obligation import AtHead, Obligation
 from koordgen.prove.smtlib import script
-from koordgen.prove.solve import Answer, Both, Solver
+from koordgen.prove.solve import Answer, Both, Outcome, Solver
 
 if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
     from koordgen.prove.explain import Explanation
@@ -42,17 +42,6 @@ class Asked(NamedTuple):
     outcomes: list[Outcome]
     dropped: frozenset[AtHead]
     lost: dict[str, tuple[Outcome, ...]]
-
-
-class Outcome(NamedTuple):
-    """One obligation and what the solver said of it."""
-
-    obligation: Obligation
-    answer: Answer
-
-    @property
-    def holds(self) -> bool:
-        return self.answer.result == self.obligation.expected
 
 
 class Verdict(NamedTuple):

@@ -16,8 +16,8 @@ from koordgen.source import Span
 from koordgen.syntax import build, decl
 from koordgen.syntax.build_base import token_span
 from koordgen.syntax.layout import Chunk
+from koordgen.syntax.lr import DEEPEST_TREE, ROWS, Stuck, section, too_deep
 from koordgen.syntax.mistake import explain
-from koordgen.syntax.parse import DEEPEST_TREE, ROWS, Stuck, section, too_deep
 
 MOST_FAULTS = 30  # told of one text
 _DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need

@@ -12,8 +12,8 @@ from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point
 from targets.planning import own_trees
 from targets.planning.pipe import Answer, Question
-from targets.planning.room import Room, fixed, room
-from targets.planning.world import InRoom, Path, Planner, Scene, World
+from targets.planning.room import InRoom, Room, fixed, room
+from targets.planning.world import Path, Planner, Scene, World
 
 MOST_POINTS = 1000
 ROUNDING = 1e-9  # metres

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -211,3 +212,10 @@ def _capsules(path: Path) -> Iterator[Thing]:
 
 def _apart(p: Point, q: Point, a: Point, b: Point, within: float) -> float:
     return segment_distance(p, q, a, b)
+
+
+@runtime_checkable
+class InRoom(Protocol):
+    """A planner that takes a Room for what is to be kept away from."""
+
+    def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path: ...

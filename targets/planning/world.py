@@ -5,7 +5,7 @@ Metres, local ENU. All of it is frozen and goes through a pipe as MessagePack.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
@@ -14,7 +14,7 @@ from koordgen.runtime.values.obstacles import Obstacle
 from koordgen.runtime.values.points import Grid, Point
 
 if TYPE_CHECKING:
-    from targets.planning.room import Room
+    pass
 
 Path = tuple[Point, ...]
 
@@ -70,10 +70,3 @@ class Planner(Protocol):
         """A path from `start` to `goal`, both included, straight from each point to the next, within about `seconds`;
         () when there is none. It is checked before anybody follows it."""
         ...
-
-
-@runtime_checkable
-class InRoom(Protocol):
-    """A planner that takes a Room for what is to be kept away from."""
-
-    def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path: ...

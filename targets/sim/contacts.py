@@ -149,15 +149,3 @@ def _has_wheel() -> bool:
 
 def _install(engine: str) -> str:
     return f"{sys.executable} -m pip install {PACKAGES[engine]}"
-
-
-def make(wanted: str, step: float, friction: float = 1.0, gui: bool = False) -> Engine:
-    """Return a new engine with steps of `step` seconds. `friction` multiplies that of the floor. Raises NoEngine and
-    NoWindow."""
-    if choose(wanted) == PYBULLET:
-        from targets.sim.bullet import Bullet
-
-        return Bullet(step, friction, gui)
-    from targets.sim.mujoco_engine import Mujoco
-
-    return Mujoco(step, friction, gui)

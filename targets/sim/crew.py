@@ -13,13 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.trace.writer import Observe
-from targets.sim.bodies import BodyState
 from targets.sim.medium import Medium
 from targets.sim.scenario import Robot
 from targets.sim.trace import Log, Phase, Record, Round, fault_text
 
 if TYPE_CHECKING:
-    from targets.sim.run import Run
     from targets.sim.stage import Stage
 
 
@@ -211,26 +209,4 @@ class Conduct(Protocol):
 
     def close(self) -> None:
         """End all agents and what belongs to them. Idempotent."""
-        ...
-
-
-class Companion(Protocol):
-    """Goes along with a run: `Run.companions`. Raises nothing but OSError, which ends the run."""
-
-    def launched(self, run: Run) -> None:
-        """All is made, agents are about to start. `run.stage` has the bodies and devices, `run.conduct.agents` the
-        agents with their `crash`, `restart`, `freeze` and `monitors`, `run.mark` takes what belongs into the trace."""
-        ...
-
-    def step(self, at: float, states: list[BodyState]) -> None:
-        """Each physics step: the truth at `at`, by pid. That is on the run's clock; t is `run.t(at)`, None as long as
-        round 1 has not been heard of. What is changed here counts from the next step on."""
-        ...
-
-    def heard(self, agent: Agent, records: list[Record]) -> None:
-        """Every 0.05 s, for an agent that has traced something: its records in their order."""
-        ...
-
-    def end(self, at: float) -> None:
-        """All robots are at rest, and nothing more will come; `mark` still takes what was found."""
         ...

@@ -8,15 +8,40 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+from typing import Protocol
 
 import msgspec
 
-from targets.sim.crew import Agent, Companion, Conduct
+from targets.sim.bodies import BodyState
+from targets.sim.crew import Agent, Conduct
 from targets.sim.progress import Progress
 from targets.sim.scenario import Scenario
 from targets.sim.stage import Closest
-from targets.sim.trace import End, Mark, Poses, Violation
+from targets.sim.trace import End, Mark, Poses, Record, Violation
 from targets.sim.world import STEP
+
+
+class Companion(Protocol):
+    """Goes along with a run: `Run.companions`. Raises nothing but OSError, which ends the run."""
+
+    def launched(self, run: Run) -> None:
+        """All is made, agents are about to start. `run.stage` has the bodies and devices, `run.conduct.agents` the
+        agents with their `crash`, `restart`, `freeze` and `monitors`, `run.mark` takes what belongs into the trace."""
+        ...
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        """Each physics step: the truth at `at`, by pid. That is on the run's clock; t is `run.t(at)`, None as long as
+        round 1 has not been heard of. What is changed here counts from the next step on."""
+        ...
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        """Every 0.05 s, for an agent that has traced something: its records in their order."""
+        ...
+
+    def end(self, at: float) -> None:
+        """All robots are at rest, and nothing more will come; `mark` still takes what was found."""
+        ...
+
 
 POSE_RATE = 20.0  # poses a second, unless the setting `pose_rate` says otherwise
 LOOK_EVERY = 0.05  # seconds between two looks at the agents

@@ -16,7 +16,8 @@ import numpy as np
 
 from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.contacts import AUTO, Solid, Touched, make
+from targets.sim.contacts import AUTO, Solid, Touched
+from targets.sim.engines import make
 from targets.sim.near import LOOK_EVERY, Near
 from targets.sim.rigid import Array, Mask, Motions, advance, rotations
 from targets.sim.scenario import Wind

@@ -17,6 +17,7 @@ import pytest
 
 from koordgen import cli
 from koordgen.campaign import plots, store
+from koordgen.cli import building
 from koordgen.cli import campaign as command
 from tests.campaign import fake
 
@@ -27,8 +28,8 @@ PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"robots": [{"name": "bert"
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Pictures, which take longer than all else, are drawn where `drawn` is asked for."""
-    monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
-    monkeypatch.setattr(cli, "_require_packages", lambda: None)
+    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
+    monkeypatch.setattr(building, "require_packages", lambda: None)
     monkeypatch.setattr(command, "_builder", lambda options, harness: fake.build)
     monkeypatch.setattr(plots, "draw", lambda results, folder: [])
     monkeypatch.chdir(tmp_path)
@@ -164,7 +165,7 @@ def test_another_plan_is_refused(words: list[str], said: str, capsys: pytest.Cap
 
 def test_another_bundle_is_refused(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert campaign("--vary", "seed=1:2") == 0
-    monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: {"SHA256SUMS": b"others"}}, "app"))
+    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: {"SHA256SUMS": b"others"}}, "app"))
     assert campaign("--vary", "seed=1:2", "--resume") == 5
     assert "the program, the fleet file or koordgen has changed since" in capsys.readouterr().err
 
@@ -269,9 +270,10 @@ def test_interrupted_it_can_be_resumed(number: signal.Signals, capsys: pytest.Ca
 def test_killed_it_can_be_resumed(tmp_path: Path) -> None:
     """kill -9, while a run hangs."""
     program = (
-        "import sys\nfrom koordgen import cli\nfrom koordgen.cli import campaign\nfrom tests.campaign import fake\n"
-        "cli._planned = lambda options, targets: ({'sim': {'SHA256SUMS': b'sums'}}, 'app')\n"
-        "cli._require_packages = lambda: None\ncampaign._builder = lambda options, harness: fake.build\n"
+        "import sys\nfrom koordgen import cli\nfrom koordgen.cli import building, campaign\n"
+        "from tests.campaign import fake\n"
+        "building.planned = lambda options, targets: ({'sim': {'SHA256SUMS': b'sums'}}, 'app')\n"
+        "building.require_packages = lambda: None\ncampaign._builder = lambda options, harness: fake.build\n"
         "cli.main(['campaign', 'app.koord', '--fleet', 'fleet.yaml', '--out', 'out', '--jobs', '2', *sys.argv[1:]])\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from koordgen import cli
 from koordgen.campaign.crew import packed, unpacked
+from koordgen.cli import console
 from tests.campaign.test_campaign import campaign, faked, results
 
 __all__ = ["faked"]
@@ -70,7 +70,7 @@ def test_a_missing_package_is_told(capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert campaign("--vary", "seed=1:2", "--cluster", "tcp://127.0.0.1:8786") == 5
     assert "pip install 'koordgen[cluster]'" in capsys.readouterr().err
-    assert campaign("--vary", "seed=1:2") == cli.HOLDS
+    assert campaign("--vary", "seed=1:2") == console.HOLDS
 
 
 def test_a_folder_goes_as_it_is(tmp_path: Path) -> None:

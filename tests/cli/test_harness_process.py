@@ -16,14 +16,15 @@ COMMAND = """
 import sys
 from pathlib import Path
 from koordgen import cli
+from koordgen.cli import building
 
 def write(bundles, folder):
     (folder / "sim").mkdir()
     (folder / "sim/__main__.py").write_text(sys.argv[1])
 
-cli._planned = lambda *given: ({"sim": {}}, "app")
-cli._require_packages = lambda: None
-cli._write = write
+building.planned = lambda *given: ({"sim": {}}, "app")
+building.require_packages = lambda: None
+building.write = write
 sys.exit(cli.main(["sim", "app.koord", "--fleet", "fleet.yaml"]))
 """
 COUNTING = """

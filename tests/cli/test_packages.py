@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from koordgen import cli
+from koordgen.cli import building, console
 
 EVERYWHERE = {"casadi", "matplotlib", "mcap", "msgspec", "numpy", "pillow", "pymavlink", "pyserial"}
 
@@ -39,7 +39,7 @@ def test_packages_that_are_missing(
         there.setattr(sys, "version_info", version)
         there.setattr(platform, "machine", lambda: machine)
         try:
-            cli._require_packages()
-        except cli.Failure as failure:
+            building.require_packages()
+        except console.Failure as failure:
             told = str(failure)
     assert told == (f"packages are missing: {missing}" if missing else "")

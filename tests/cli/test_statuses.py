@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import cli
+from koordgen.cli import console
 from koordgen.cli.commands import COMMANDS, harnesses
 from tests.cli.test_parser import left
 
@@ -81,6 +81,6 @@ def test_the_table_in_the_docs_has_every_status() -> None:
     page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("## Exit statuses")[2].partition("\n## ")[0]
     listed = [int(status) for status in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)]
     assert listed == [
-        cli.HOLDS, cli.WRONG, cli.USAGE, cli.VIOLATED, cli.INCONCLUSIVE, cli.SURROUNDINGS, cli.HOST, cli.INTERNAL,
-        cli.INTERRUPTED,
+        console.HOLDS, console.WRONG, console.USAGE, console.VIOLATED, console.INCONCLUSIVE, console.SURROUNDINGS,
+        console.HOST, console.INTERNAL, console.INTERRUPTED,
     ]  # fmt: skip

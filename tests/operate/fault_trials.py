@@ -34,6 +34,7 @@ from benchmarks.fixtures.deployed import Deployed, place, state
 from benchmarks.fixtures.ssh_hosts import SshFleet, SshHost
 from koordgen import cli
 from koordgen.bundle.write import SUMS, sums
+from koordgen.cli import building
 from koordgen.operate.deploy import Phases
 from tests.operate.fake_host import MAIN
 from tests.runtime.transports import free_ports
@@ -176,7 +177,7 @@ class Trials:
             output = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(output, 1)
             os.dup2(output, 2)
-            cli._planned = self._planned  # type: ignore[assignment]
+            building.planned = self._planned  # type: ignore[assignment]
             Phases.attempt = self._attempt(Phases.attempt)  # type: ignore[method-assign]
             status = cli.main(list(command))
         finally:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place, state
-from koordgen import cli
+from koordgen.cli import building
 from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import Answer, Session, sessions
@@ -63,7 +63,7 @@ def test_real_bundles_on_twenty_hosts(tmp_path: Path, capfd: pytest.CaptureFixtu
 @pytest.fixture
 def standing(fleet: Deployed, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Deployed:
     """The fleet with a confirmed release of bundles that do nothing, and newer ones that are not deployed yet."""
-    monkeypatch.setattr(cli, "_planned", fleet.planned)
+    monkeypatch.setattr(building, "planned", fleet.planned)
     fleet.write(version=1)
     if fleet.confirmed() != FIRST or any(found and found["pending"] for found in fleet.states().values()):
         assert fleet.deploy() == 0

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place
-from koordgen import cli
+from koordgen.cli import building
 from koordgen.operate.wheels import CannotFetch, WheelPlatform, needed_lines, platform_of, platform_tags, wheel_set
 
 PI = WheelPlatform("aarch64", 36, 11)
@@ -111,7 +111,7 @@ def test_an_environment_is_made_of_wheels_once(
     fleet: Deployed, folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_wheel(folder, "tiny")
-    monkeypatch.setattr(cli, "_planned", lambda *_: fleet.planned(requirements="tiny==1.0\n", needs="tiny"))
+    monkeypatch.setattr(building, "planned", lambda *_: fleet.planned(requirements="tiny==1.0\n", needs="tiny"))
     fleet.write(version=1, wheels="host")
     assert fleet.deploy() == 1  # the test's own Python lacks it
     assert "No module named 'tiny'" in capfd.readouterr().err

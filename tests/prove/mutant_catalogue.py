@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 from koordgen.prove import begin, generate, goal, loops, priority, verdict, within
 from koordgen.prove import term as t
-from koordgen.prove.encode import expr, fold, function, geometry, lists, loop, quantifier, room, state, stmt, turns
+from koordgen.prove.encode import expr, fold, function, geometry, lists, loop, quantifier, room, state, stmt
 from koordgen.prove.moment import Setting, Stage
 
-Frame, Turns = stmt.Frame, turns._Turns
+Frame, Turns = stmt.Frame, stmt._Turns
 UNSOUND, WEAKER = True, False
 
 

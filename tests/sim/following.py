@@ -58,18 +58,18 @@ def follow(
     more: Sequence[str] = (),
 ) -> Followed:  # fmt: skip
     """As `koordgen sim --follow` does it, but in this process; `change` is done to the plan before."""
-    from koordgen import cli
+    from koordgen.cli import building, console
     from koordgen.cli.follow import following
 
     options = parsed(["sim", str(app), "--fleet", str(fleet), "--follow", str(trace), *more])
     try:
         params, plan = following(options)
-    except cli.Failure as failure:
+    except console.Failure as failure:
         return Followed(failure.status, f"{failure} | {failure.help}", app.parent)
     with redirect_stderr(StringIO()):  # warnings
-        bundles, _ = cli._planned(options, ["sim"], params)
+        bundles, _ = building.planned(options, ["sim"], params)
     bundle = app.parent / f"{out}-bundle"
-    cli._write({"sim": bundles["sim"]}, bundle)
+    building.write({"sim": bundles["sim"]}, bundle)
     plan = json.loads(json.dumps(plan))
     change(plan)
     (bundle / "follow.json").write_text(json.dumps(plan))

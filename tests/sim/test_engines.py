@@ -15,7 +15,8 @@ from koordgen.runtime.values.points import Point
 from targets.sim import contacts, quadrotor
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.car import SimulatedCar
-from targets.sim.contacts import MUJOCO, PYBULLET, Engine, NoEngine, NoWindow, Solid, choose, make
+from targets.sim.contacts import MUJOCO, PYBULLET, Engine, NoEngine, NoWindow, Solid, choose
+from targets.sim.engines import make
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.sight import Eye
 from targets.sim.world import GRAVITY, STEP, World

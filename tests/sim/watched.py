@@ -13,7 +13,7 @@ from benchmarks.fixtures.fleet import NAMES, Fleet
 from koordgen.runtime.net.network import Conditions
 from targets.sim import trace, watch
 from targets.sim.bodies import BodyState
-from targets.sim.crew import Companion
+from targets.sim.run import Companion
 from targets.sim.trace import Mark, Phase, Record, Round, Verdict, Violation
 from targets.sim.windows import Windows
 from tests.sim.fake_fleet import beside

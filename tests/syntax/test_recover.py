@@ -13,7 +13,8 @@ from koordgen.diagnostics import Diagnostic
 from koordgen.source import Source
 from koordgen.syntax import decl, expr, stmt
 from koordgen.syntax.layout import sections
-from koordgen.syntax.parse import DEEPEST_TREE, parse
+from koordgen.syntax.lr import DEEPEST_TREE
+from koordgen.syntax.parse import parse
 from koordgen.syntax.recover import MOST_FAULTS
 from tests.syntax.test_fuzz import is_broken, lies_in
 

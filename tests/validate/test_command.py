@@ -15,6 +15,7 @@ import pytest
 from koordgen import cli
 from koordgen.campaign import store
 from koordgen.campaign.plan import Plan
+from koordgen.cli import building, console
 from koordgen.cli import campaign as campaigns
 from koordgen.validate import picture
 from tests.campaign.fake import full_disk
@@ -39,8 +40,8 @@ invariant Somewhere: forall i in ID: Motion.position[i] == Motion.position[i]
 
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
-    monkeypatch.setattr(cli, "_require_packages", lambda: None)
+    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
+    monkeypatch.setattr(building, "require_packages", lambda: None)
     monkeypatch.setattr(campaigns, "_builder", lambda options, harness: fake.build)
     monkeypatch.setattr("koordgen.cli.validate.fleet_params", lambda *_: {})
     monkeypatch.setattr(
@@ -147,9 +148,9 @@ def test_wrong_calls(words: list[str], said: str, capsys: pytest.CaptureFixture[
 
 def test_a_missing_simulator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing() -> None:
-        raise cli.Failure(cli.SURROUNDINGS, "packages are missing: pybullet")
+        raise console.Failure(console.SURROUNDINGS, "packages are missing: pybullet")
 
-    monkeypatch.setattr(cli, "_require_packages", missing)
+    monkeypatch.setattr(building, "require_packages", missing)
     assert validate() == 5 and not Path("out").exists()
 
 

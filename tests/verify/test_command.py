@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.prove.solve import Answer
-from koordgen.prove.verdict import Outcome, Question, Verdict, prove
+from koordgen.prove.solve import Answer, Outcome
+from koordgen.prove.verdict import Question, Verdict, prove
 from koordgen.verify.attack.attack import attack
 from tests.prove.programs import COUNTER, STRONG
 from tests.verify.faults import FAULTS, ticks

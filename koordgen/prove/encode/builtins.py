@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from koordgen.ir import expr as ir
 from koordgen.ir.builtins import UPDATE_SIGNATURES
 from koordgen.ir.types import INT, MapOf, Sized
 from koordgen.prove import term as t
+from koordgen.prove.encode.encoder import ExprEncoder
 from koordgen.prove.encode.fold import folded
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.quantifier import proxy
 from koordgen.prove.encode.values import Changed, Choice, Collection, Fleet, Known, Val, pick, truth
 from koordgen.prove.term import Term
 
-if TYPE_CHECKING:
-    from koordgen.prove.encode.expr import Encoder
-
 _ZERO, _ONE = t.integer(0), t.integer(1)
 _MADE = ("Point", "Pose", "Grid", "Rect", "Ball")
 _LISTS = ("sorted", "reversed", "keys", "values", "items", "union", "intersection", "difference")
 
 
-def builtin(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     """A builtin of evaluated arguments."""
     name, line = node.name, node.span.line
     if name in _MADE:
@@ -73,13 +69,13 @@ def builtin(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return _opaque(e, node, args)
 
 
-def _end(e: Encoder, xs: Collection, first: bool) -> Val:
+def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
     if isinstance(xs, Choice):
         return pick(xs.condition, _end(e, xs.then, first), _end(e, xs.orelse, first))
     return e.lists.element(xs, _ZERO if first else t.subtract(e.lists.length(xs), _ONE))
 
 
-def _opaque(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     """# SOUND: a function of which nothing is told but that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
         x, one = truth(args[0]), t.real(1)
@@ -90,7 +86,7 @@ def _opaque(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     return e.apply(node.name, f"{node.name}@", args, node.type)
 
 
-def _updated(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     xs, line = path_of(args[0]), node.span.line
     room = e.room
     match node.name:
@@ -111,7 +107,7 @@ def _updated(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     return Changed(node.name, xs, args[1:], node.type)
 
 
-def _clear(e: Encoder, args: tuple[Val, ...]) -> Val:
+def _clear(e: ExprEncoder, args: tuple[Val, ...]) -> Val:
     """Whether a path keeps more than eps metres away from each of several."""
     path, others, eps = path_of(args[0]), path_of(args[1]), truth(args[2])
 
@@ -141,7 +137,7 @@ def _whole(name: str, x: Term) -> Term:
     return t.ite(up, t.add(below, _ONE), below)
 
 
-def _root(e: Encoder, x: Term, line: int) -> Term:
+def _root(e: ExprEncoder, x: Term, line: int) -> Term:
     zero = t.real(0)
     e.room.demand(t.at_most(zero, x), "sqrt of what is not negative", line)
     found = t.apply(t.Function("sqrt@", (t.REAL,), t.REAL), x)
@@ -157,7 +153,7 @@ def _center(cell: Val) -> Val:
     return tuple([t.multiply(t.add(t.to_real(place), half), size) for place in (x, y)] + [t.real(0)])
 
 
-def _length(e: Encoder, node: ir.Builtin, xs: Val) -> Term:
+def _length(e: ExprEncoder, node: ir.Builtin, xs: Val) -> Term:
     if isinstance(node.args[0].type, Sized):
         found = truth(e.room.function("string.len", (truth(xs),), INT))
         e.room.fact(t.at_most(_ZERO, found), "no length is negative", node.span.line)
@@ -165,7 +161,7 @@ def _length(e: Encoder, node: ir.Builtin, xs: Val) -> Term:
     return e.lists.length(path_of(xs))
 
 
-def _looked_up(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     xs, key = path_of(args[0]), args[1]
     assert isinstance(node.args[0].type, MapOf)
     held = e.lists.has(xs, key)

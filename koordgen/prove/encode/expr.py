@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
 from koordgen.ir.types import INT, PerRobot, Sized, Type
 from koordgen.prove import term as t
+from koordgen.prove.encode.builtins import builtin
+from koordgen.prove.encode.encoder import Scope
 from koordgen.prove.encode.geometry import Geometry, path_of
 from koordgen.prove.encode.lists import Lists
 from koordgen.prove.encode.quantifier import in_fleet, quantified
@@ -22,22 +24,6 @@ _EXPANDED = 8  # a list of at most so many elements is gone through by its place
 
 
 Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
-
-
-class Scope(Protocol):
-    """What a name means at one place."""
-
-    pid: Term
-    temps: dict[str, Val]
-
-    def slot(self, name: str, index: Term) -> Val: ...
-    def slots(self, name: str) -> Fleet: ...
-    def cell(self, name: str) -> Val: ...
-    def local(self, name: str) -> Val: ...
-    def port(self, name: str, primed: bool) -> Val: ...
-    def local_of(self, name: str, robot: Term) -> Val: ...
-    def port_of(self, name: str, robot: Term) -> Val: ...
-    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val: ...
 
 
 class Encoder:
@@ -322,8 +308,6 @@ class Encoder:
         return scope.ask(node, tuple([self.value(arg, scope) for arg in node.args]))
 
     def builtin(self, node: ir.Builtin, scope: Scope) -> Val:
-        from koordgen.prove.encode.builtins import builtin
-
         return builtin(self, node, tuple([self.value(arg, scope) for arg in node.args]))
 
     def defined(self, node: ir.Expr, scope: Scope) -> Term:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from koordgen.prove import term as t
+from koordgen.prove.encode.encoder import ExprEncoder
 from koordgen.prove.encode.values import Fleet, Val
 from koordgen.prove.term import Function, Term
 
-if TYPE_CHECKING:
-    from koordgen.prove.encode.expr import Encoder
 
-
-def folded(e: Encoder, xs: Fleet, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term) -> Term:
+def folded(
+    e: ExprEncoder, xs: Fleet, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
+) -> Term:
     """The sum of `part` over all robots. For any number of robots it is a function of the fleet, and this is told of
     it: it is zero where all parts are, not negative where none is, at most N_SYS where none is above one, at least
     that where none is below; a count is that of the other robots, and this one."""
@@ -38,7 +37,7 @@ def folded(e: Encoder, xs: Fleet, name: str, extra: tuple[Term, ...], part: Call
     return found
 
 
-def _bounded(e: Encoder, xs: Fleet, name: str, part: Callable[[Val], Term], found: Term) -> None:
+def _bounded(e: ExprEncoder, xs: Fleet, name: str, part: Callable[[Val], Term], found: Term) -> None:
     room, real = e.room, found.sort is t.REAL
     zero, one = (t.real(0), t.real(1)) if real else (t.integer(0), t.integer(1))
     most = t.to_real(room.size) if real else room.size

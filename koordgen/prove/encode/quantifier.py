@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.types import MapOf, PerRobot, Sequence, Type
 from koordgen.prove import term as t
+from koordgen.prove.encode.encoder import ExprEncoder, Scope
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.room import Room
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Fleet, Known, Val
 from koordgen.prove.term import Term
-
-if TYPE_CHECKING:
-    from koordgen.prove.encode.expr import Encoder, Scope
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
 _EXPANDED = 8  # a domain of at most so many elements is gone through one by one
@@ -56,7 +54,7 @@ class Domain(NamedTuple):
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
-def quantified(e: Encoder, node: ir.Quantified, scope: Scope) -> Val:
+def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
     """As a truth value of its own, which every instance that is looked at agrees with.
 
     Where it is to be shown (`e.strict`), that all instances have a value is demanded: `not exists` is no value, and not
@@ -104,7 +102,7 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
                     "sorted", "reversed", "floor", "ceil", "round", "str", "merge", "center"))  # fmt: skip
 
 
-def _may_fail(e: Encoder, node: ir.Quantified, scope: Scope) -> bool:
+def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
     """Return whether an instance may have no value, as far as its operations tell."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in nodes(node.body):
@@ -138,7 +136,7 @@ def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool 
     return found
 
 
-def in_fleet(e: Encoder, xs: Fleet, item: Val) -> Term:
+def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
     """Whether a robot has that."""
     room = e.room
     key = (xs.name, *e.lists.leaves(item))
@@ -149,7 +147,7 @@ def in_fleet(e: Encoder, xs: Fleet, item: Val) -> Term:
     return t.not_(room.nowhere[key])
 
 
-def domain(e: Encoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
+def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
     """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
@@ -167,7 +165,7 @@ def domain(e: Encoder, node: ir.Expr, scope: Scope, body: object, name: str) -> 
     return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
 
 
-def _range(e: Encoder, node: ir.Range, scope: Scope, body: object, name: str) -> Domain:
+def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: object, name: str) -> Domain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.room.size and e.room.robots is None:

@@ -17,14 +17,6 @@ TRACE = "trace.jsonl"
 FORMATS = ("mcap", "csv", "png", "gif", "mp4")
 
 
-class CannotMake(Exception):
-    """Something that is needed is not there; the message says what, `hint` the way out."""
-
-    def __init__(self, message: str, hint: str) -> None:
-        super().__init__(message)
-        self.hint = hint
-
-
 def report(given: str, out: str | None) -> Path:
     """Write the report of a run's folder or merged trace; beside the trace unless `out` says where. Raises BadTrace,
     OSError."""

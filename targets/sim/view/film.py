@@ -18,7 +18,7 @@ from PIL import Image
 
 from targets.sim.view import ground
 from targets.sim.view.colours import COLOURS, STATES, of_robot
-from targets.sim.view.commands import CannotMake
+from targets.sim.view.failures import CannotMake
 from targets.sim.view.tracks import Tracks
 
 Frame = NDArray[np.uint8]
