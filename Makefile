@@ -75,9 +75,9 @@ bench: $(STAMP)
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)
-	$(PY) -m koordgen.syntax.generate
-	$(PY) -m koordgen.syntax.page
-	$(PY) -m koordgen.emit.generate
+	$(PY) -m koordgen.lang.syntax.generate
+	$(PY) -m koordgen.lang.syntax.page
+	$(PY) -m koordgen.build.emit.generate
 	$(PY) -m targets.car.solver.generate
 
 $(STAMP): requirements.lock pyproject.toml

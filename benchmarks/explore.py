@@ -23,13 +23,13 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures import spin
-from koordgen.check.params import with_params
-from koordgen.explore.envfile import environment
-from koordgen.explore.environment import Environment, Surroundings, answering
-from koordgen.explore.machine import Machine
-from koordgen.explore.search import Bounds, Search
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file, read_source
+from koordgen.build.pipeline import check_file, read_source
+from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.explore.envfile import environment
+from koordgen.verify.explore.environment import Environment, Surroundings, answering
+from koordgen.verify.explore.machine import Machine
+from koordgen.verify.explore.search import Bounds, Search
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ELECTION = EXAMPLES / "election/election.koord"

@@ -25,11 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples/mapping")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.fleet import Fleet, Robot, settings
-from koordgen.check.params import with_params
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
+from koordgen.build.pipeline import check_file
+from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.ir.decl import Program
 from koordgen.runtime.monitor.monitor import Monitors
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.property import Properties

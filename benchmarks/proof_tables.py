@@ -30,13 +30,13 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.prove.generate import rooms
-from koordgen.prove.moment import Setting
-from koordgen.prove.obligation import Obligation
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, prove
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.prove.obligations.generate import rooms
+from koordgen.verify.prove.obligations.moment import Setting
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.obligation import Obligation
+from koordgen.verify.prove.smt.solve import Limits, Solver
 
 ROOT = Path(__file__).resolve().parents[1]
 # (robots, dimensions) -> published seconds of K and of Z3

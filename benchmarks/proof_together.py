@@ -11,7 +11,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from koordgen.pipeline import check_file
+from koordgen.build.pipeline import check_file
 
 
 def _cpu() -> float:
@@ -23,11 +23,11 @@ def main(paths: list[str]) -> None:
     gc.disable()  # as the command does
     programs = [check_file(path).program for path in paths]
     began, before = time.perf_counter(), _cpu()
-    from koordgen.prove.solve import Limits, solver_of
+    from koordgen.verify.prove.smt.solve import Limits, solver_of
 
     with solver_of("z3", Limits()) as solver:
         solver.start()
-        from koordgen.prove.verdict import Question, prove  # while the solver loads, as the command does
+        from koordgen.verify.prove.report.verdict import Question, prove  # while the solver loads, as the command does
 
         verdicts = [verdict for program in programs for verdict in prove(Question(program, None, {}), solver)]
         solver.stop()

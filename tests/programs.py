@@ -8,12 +8,13 @@ from pathlib import Path
 
 import msgspec
 
-from koordgen import manifest, resources
-from koordgen.bundle.plan import Files, plan, read_ingredients
-from koordgen.fleet import Fleet, read
-from koordgen.pipeline import check_file
+from koordgen.build.bundle.plan import Files, plan, read_ingredients
+from koordgen.build.pipeline import check_file
+from koordgen.fleet import manifest
+from koordgen.fleet.file import Fleet, read
+from koordgen.lang import resources
+from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Settings
-from koordgen.source import Source, Span
 
 ROOT = Path(__file__).parents[1]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"

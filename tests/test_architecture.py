@@ -17,99 +17,36 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "koordgen"
 TARGETS = sorted(p.parent for p in (ROOT / "targets").glob("*/manifest.toml"))
 
-# A module may import from its own floor and from those named here, nothing else of koordgen.
-BASE = {"node", "source", "diagnostics", "resources", "__init__"}
-FLOORS = {
-    "node": set(),
-    "source": {"node"},
-    "diagnostics": {"node", "source"},
-    "resources": set(),
-    "yaml_mistakes": set(),
-    "located": {"node", "source", "yaml_mistakes"},
-    "explain": {"node", "diagnostics"},
-    "sarif": BASE | {"explain"},
-    "syntax": BASE,
-    "ir": BASE,
-    "check": BASE | {"syntax", "ir", "semantics"},  # which evaluates first values
-    "format": BASE | {"syntax"},
-    "semantics": BASE | {"ir", "runtime"},  # the robots' own values and geometry
-    "emit": BASE | {"ir"},
-    "prove": BASE | {"ir", "check", "semantics", "runtime"},
-    "verify": BASE | {"ir", "check", "semantics", "prove", "runtime"},
-    "manifest": {"node", "resources"},
-    "mocap": {"node", "located"},
-    "deployment": {"node", "located"},
-    "mesh": {"node"},
-    "obstacles": BASE | {"located", "mesh"},
-    "medium": BASE | {"located"},
-    "offered": {"node", "located", "manifest"},
-    "robots": {"node", "located", "deployment", "manifest", "offered"},
-    "world": {"node", "located", "obstacles", "offered"},
-    "starts": {"node", "located", "manifest", "obstacles", "robots", "world"},
-    "fleet": BASE
-    | {"located", "deployment", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
-    "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
-    "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
-    "operate": BASE
-    | {
-        "audit",
-        "bundle",
-        "check",
-        "deployment",
-        "emit",
-        "estop",
-        "fleet",
-        "ir",
-        "pipeline",
-        "replay",
-        "robots",
-        "runtime",
-    },
-    "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
-    "doctor": BASE,
-    "campaign": BASE | {"runtime"},  # how to install a package
-    "replay": BASE | {"ir", "emit", "semantics", "runtime"},
-    "validate": BASE | {"syntax", "ir", "check", "prove", "campaign", "manifest", "bundle", "fleet", "pipeline"},
-    "audit": BASE | {"ir", "emit", "semantics", "prove", "replay", "runtime"},
-    "follow": BASE | {"ir", "semantics", "replay"},
-    "explore": BASE | {"ir", "check", "located", "emit", "semantics", "prove", "replay", "runtime"},
-    "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
-    "scenario": {"node", "source", "located"},
-    "cli": BASE
-    | {
-        "runtime",  # which knows whether a requirement is for this computer
-        "scenario",
-        "pipeline",
-        "bundle",
-        "check",
-        "ir",
-        "prove",
-        "verify",
-        "manifest",
-        "explain",
-        "sarif",
-        "format",
-        "estop",
-        "fleet",
-        "operate",
-        "basestation",
-        "doctor",
-        "campaign",
-        "replay",
-        "follow",
-        "explore",
-        "audit",
-        "semantics",
-        "validate",
-        "emit",
-    },
-    "__main__": {"cli"},
-    "__init__": set(),
-    "runtime": set(),
-    "_generated": set(),
+# Rooms of each folder, from bottom to top: a room may import those before it. "." are the folder's own modules.
+LAYERS = {
+    "koordgen": ("runtime", "lang", "fleet", "build", "verify", "experiment", "operate", "cli", "."),
+    "koordgen.runtime": (
+        *("values", "config", "program", "native", "net", "replication", "vehicle", "trace", "monitor", "ops", "agent"),
+    ),
+    "koordgen.lang": (".", "explain", "syntax", "ir", "semantics", "analyze", "check", "format"),
+    "koordgen.lang.syntax": ("_generated", "."),
+    "koordgen.lang.check": (".", "expressions", "statements", "sections"),
+    "koordgen.build": ("emit", "bundle", "."),
+    "koordgen.build.emit": ("_generated", "."),
+    "koordgen.build.emit._generated": (".", "templates"),
+    "koordgen.verify": ("replay", "prove", "follow", "explore", "audit", "attack"),
+    "koordgen.verify.prove": ("smt", "encode", "obligations", "report"),
+    "koordgen.experiment": ("campaign", "validate"),
+    "koordgen.operate": ("host_tool", "."),
+    "koordgen.cli": ("base", "verify", "experiment", "operate", "."),
+}
+# Of the rooms of robots, those that each room of the compiler uses.
+RUNTIME = {
+    "lang": {"values", "program"},
+    "fleet": set(),
+    "build": set(),
+    "verify": {"values", "program", "trace", "config"},
+    "experiment": {"ops"},
+    "operate": {"values", "config", "net", "vehicle", "ops", "trace"},
+    "cli": {"ops", "net"},
 }
 HOST_TOOL = PACKAGE / "operate" / "host_tool"  # becomes a package of its own on robots, so its imports are relative
-GENERATED_READERS = {"syntax": "koordgen._generated.grammar"}
+MOST_MODULES = 20  # in a folder, without its __init__
 HEAVY = {
     "pybullet",
     "mujoco",
@@ -145,20 +82,86 @@ def _imports(path: Path) -> Iterator[str]:
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def floor(module: str) -> str:
-    return [*module.split("."), "__init__"][1]
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in SOURCES}
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_floors_are_one_way(path: Path) -> None:
-    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    assert own in FLOORS, f"{own} is a new room: give it a floor here and in ARCHITECTURE.md"
-    for module in imports(path):
-        if module.split(".")[0] == "koordgen":
-            other = floor(module)
-            if module.startswith(GENERATED_READERS.get(own, "\0")) or other == "__version__":
-                continue
-            assert other == own or other in FLOORS[own], f"{path.name} imports {module}"
+def imported_modules(path: Path) -> set[str]:
+    """The modules of this repository that a file imports, without the packages that they stand in."""
+    found = set()
+    for name in imports(path):
+        while name and name not in MODULES:
+            name = name.rpartition(".")[0]
+        found.add(name)
+    return {name for name in found if name and MODULES[name] != path}
+
+
+def room(module: str) -> str:
+    """The folder in which a module stands, with dots."""
+    return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Sets of nodes that lead to one another, by removing what leads nowhere and what is led to from nowhere."""
+    left = {node: {other for other in others if other != node} for node, others in graph.items()}
+    while True:
+        reached = set().union(*left.values()) if left else set()
+        kept = {node: others & left.keys() for node, others in left.items() if others & left.keys() and node in reached}
+        if kept == left:
+            return [sorted(left)] if left else []
+        left = kept
+
+
+@pytest.mark.parametrize("module", sorted(m for m in MODULES if m.startswith("koordgen")))
+def test_rooms_import_downwards(module: str) -> None:
+    for other in imported_modules(MODULES[module]):
+        if other == "koordgen" or not other.startswith("koordgen."):
+            continue
+        own, its = [*room(module).split("."), "."], [*room(other).split("."), "."]
+        level = next((i for i, (a, b) in enumerate(zip(own, its, strict=False)) if a != b), None)
+        if level is None:
+            continue
+        folder = ".".join(own[:level])
+        order = LAYERS[folder]
+        assert order.index(its[level]) < order.index(own[level]), f"{module} imports {other}: see LAYERS[{folder!r}]"
+        if own[1] in RUNTIME and its[1] == "runtime":
+            assert its[2] in RUNTIME[own[1]], f"{module} imports {other}: see RUNTIME"
+
+
+def test_no_modules_import_one_another() -> None:
+    assert not cycles({module: imported_modules(path) for module, path in MODULES.items()})
+
+
+def test_no_rooms_import_one_another() -> None:
+    """The package's own __init__ has the version alone, and __main__ calls the command line."""
+    graph: dict[str, set[str]] = {}
+    for module, path in MODULES.items():
+        if module not in ("koordgen", "koordgen.__main__"):
+            graph.setdefault(room(module), set()).update(map(room, imported_modules(path) - {"koordgen"}))
+    assert not cycles(graph)
+
+
+def test_cycles_are_found() -> None:
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == [["b", "c"]]
+    assert not cycles({"a": {"b", "c"}, "b": {"c"}, "c": set()})
+
+
+def test_folders_hold_few_modules() -> None:
+    assert len([entry for entry in PACKAGE.iterdir() if entry.name not in ("__pycache__", "_data")]) <= 10
+    for top in (PACKAGE,):
+        for folder in [top, *(p for p in top.rglob("*") if p.is_dir())]:
+            count = len([path for path in folder.glob("*.py") if path.name != "__init__.py"])
+            assert count <= MOST_MODULES, f"{folder.relative_to(ROOT)} has {count} modules"
+
+
+def test_each_room_says_what_it_is() -> None:
+    """What it owns, what it offers, what it must not import."""
+    for path in SOURCES:
+        if path.name == "__init__.py" and "_generated" not in path.parts and path.parent != ROOT / "targets":
+            doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            if path.parent != PACKAGE:
+                missing = [word for word in ("Owns: ", "Offers: ", "Must not import: ") if word not in doc]
+                assert not missing, f"{path.relative_to(ROOT)} does not say: {missing}"
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
@@ -168,7 +171,7 @@ def test_the_compiler_needs_no_robot_package(path: Path) -> None:
         allowed = {"motioncapture"}  # within the function that connects
     if path.name == "cvc5_driver.py":
         allowed = {"cvc5"}  # a process of its own
-    if path.relative_to(PACKAGE).as_posix() == "audit/plot.py":  # within the function that draws
+    if path.relative_to(PACKAGE).as_posix() == "verify/audit/plot.py":  # within the function that draws
         allowed = {"matplotlib"}
     if path.parent.name == "campaign":  # within the functions that draw, and that connect to a cluster
         allowed = {"plots.py": {"matplotlib"}, "crew.py": {"distributed"}}.get(path.name, set())
@@ -255,7 +258,12 @@ def test_functions_and_templates_keep_to_their_size() -> None:
 
 @pytest.mark.parametrize(
     "generator",
-    ["koordgen.syntax.generate", "koordgen.syntax.page", "koordgen.emit.generate", "targets.car.solver.generate"],
+    [
+        "koordgen.lang.syntax.generate",
+        "koordgen.lang.syntax.page",
+        "koordgen.build.emit.generate",
+        "targets.car.solver.generate",
+    ],
 )
 def test_what_is_generated_is_fresh(generator: str) -> None:
     subprocess.run([sys.executable, "-m", generator, "--check"], cwd=ROOT, check=True)

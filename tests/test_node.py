@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.node import Node, replace
-from koordgen.source import Span
+from koordgen.lang.node import Node, replace
+from koordgen.lang.source import Span
 
 
 class Leaf(Node):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.resources import freshen
+from koordgen.lang.resources import freshen
 
 
 def test_generated_files_become_what_is_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

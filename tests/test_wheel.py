@@ -61,11 +61,11 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/runtime/net/ledger.h",
         "koordgen/runtime/net/mac.h",
         "koordgen/runtime/net/voice.h",
-        "koordgen/_generated/grammar.py",
-        "koordgen/explain/K.md",
-        "koordgen/explain/F.md",
-        "koordgen/explain/B.md",
-        "koordgen/explain/topics.md",
+        "koordgen/lang/syntax/_generated/grammar.py",
+        "koordgen/lang/explain/K.md",
+        "koordgen/lang/explain/F.md",
+        "koordgen/lang/explain/B.md",
+        "koordgen/lang/explain/topics.md",
     } <= names
     assert not [n for n in names if n.startswith(("tests/", "benchmarks/")) or n.endswith(".pyc")]
 
@@ -113,7 +113,7 @@ def said() -> Iterator[tuple[str, str]]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in notes:
                 yield str(path), node.value
-    others = [(ROOT / "koordgen/explain").glob("*.md"), (ROOT / "templates").rglob("*.*")]
+    others = [(ROOT / "koordgen/lang/explain").glob("*.md"), (ROOT / "templates").rglob("*.*")]
     for path in chain(*others, (ROOT / "examples").rglob("README.md")):
         yield str(path), path.read_text(encoding="utf-8")
 

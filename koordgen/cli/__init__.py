@@ -1,4 +1,9 @@
-"""The command line: the only room that prints and exits. Thin; what a command does not need is never imported."""
+"""Command line: the only room that prints and exits. What a command does not need is never imported.
+
+Owns: the table of commands, their options, exit statuses, errors with a way out.
+Offers: `main`.
+Must not import: nothing is forbidden but targets, which harness commands load by name.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +12,8 @@ import gc
 import sys
 from typing import TYPE_CHECKING
 
-from koordgen.cli.building import available_targets, left_out, planned, target_names, write
-from koordgen.cli.commands import parsed
-from koordgen.cli.console import (
+from koordgen.cli.base.building import available_targets, left_out, planned, target_names, write
+from koordgen.cli.base.console import (
     HOLDS,
     INTERRUPTED,
     SURROUNDINGS,
@@ -23,6 +27,7 @@ from koordgen.cli.console import (
     show_rejected,
     tell,
 )
+from koordgen.cli.commands import parsed
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,7 +76,7 @@ def _run(options: Namespace) -> int:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
-        from koordgen.pipeline import Rejected
+        from koordgen.build.pipeline import Rejected
 
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
@@ -88,7 +93,7 @@ def _run(options: Namespace) -> int:
 
 def _help(options: Namespace) -> int:
     from koordgen.cli import commands
-    from koordgen.cli.parser import Parser
+    from koordgen.cli.base.parser import Parser
 
     if options.topic is None:
         print(commands.overview())
@@ -101,7 +106,7 @@ def _help(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> int:
-    from koordgen.pipeline import check_file
+    from koordgen.build.pipeline import check_file
 
     checked = check_file(options.program)
     tell([(checked.source, d) for d in checked.noticed], options)
@@ -109,7 +114,7 @@ def _check(options: Namespace) -> int:
 
 
 def _dump(options: Namespace) -> int:
-    from koordgen.pipeline import dump
+    from koordgen.build.pipeline import dump
 
     print(dump(options.program, options.after), end="")
     return HOLDS
@@ -132,15 +137,15 @@ def _build(options: Namespace) -> int:
 
 
 def _harness(options: Namespace) -> int:
-    from koordgen.cli.harness import harness
+    from koordgen.cli.experiment.harness import harness
 
     return harness(options)
 
 
 def _fmt(options: Namespace) -> int:
-    from koordgen.check import check
-    from koordgen.format.files import format_file, output
-    from koordgen.pipeline import Rejected
+    from koordgen.build.pipeline import Rejected
+    from koordgen.lang.check.sections.program import check
+    from koordgen.lang.format.files import format_file, output
 
     dry = options.check or options.diff
     checker = check if options.upgrade else None
@@ -156,20 +161,20 @@ def _fmt(options: Namespace) -> int:
 
 
 def _prove(options: Namespace) -> int:
-    from koordgen.cli.prove import run
+    from koordgen.cli.verify.prove import run
 
     return run(options)
 
 
 def _explore(options: Namespace) -> int:
-    from koordgen.cli.explore import explore
+    from koordgen.cli.verify.explore import explore
 
     return explore(options)
 
 
 def _explain(options: Namespace) -> int:
-    from koordgen.diagnostics import CATALOGUE
-    from koordgen.explain import explanation, show, topic, topics
+    from koordgen.lang.diagnostics import CATALOGUE
+    from koordgen.lang.explain import explanation, show, topic, topics
 
     if not options.code:
         print("\n".join(f"{code}  {title}" for code, title in CATALOGUE.items()))
@@ -179,7 +184,7 @@ def _explain(options: Namespace) -> int:
     code = word.upper()
     text = show(explanation(code)) if code in CATALOGUE else topic(word)
     if not text:
-        from koordgen.cli.parser import nearest
+        from koordgen.cli.base.parser import nearest
 
         near = nearest(code, [*CATALOGUE, *topics()]) if word else ""
         help = f"did you mean {near}? " if near else ""
@@ -189,7 +194,7 @@ def _explain(options: Namespace) -> int:
 
 
 def _estop(options: Namespace) -> int:
-    from koordgen.estop import BY_HAND, BadAddress, CannotStop, show, stop_fleet
+    from koordgen.operate.estop import BY_HAND, BadAddress, CannotStop, show, stop_fleet
 
     if options.fleet is None and not options.address:
         raise Failure(USAGE, "no fleet file is named, and no --address", f"nobody was called; {BY_HAND}")
@@ -205,13 +210,13 @@ def _estop(options: Namespace) -> int:
 
 
 def _status(options: Namespace) -> int:
-    from koordgen.cli.status import status
+    from koordgen.cli.operate.status import status
 
     return status(options)
 
 
 def _dashboard(options: Namespace) -> int:
-    from koordgen.cli.dashboard import dashboard
+    from koordgen.cli.operate.dashboard import dashboard
 
     return dashboard(options)
 
@@ -219,9 +224,9 @@ def _dashboard(options: Namespace) -> int:
 def _basestation(options: Namespace) -> int:
     import os
 
-    from koordgen.basestation import CannotServe, WrongFiles, all_targets, station
-    from koordgen.cli.terminal import Line
-    from koordgen.pipeline import read_fleet
+    from koordgen.build.pipeline import read_fleet
+    from koordgen.cli.base.terminal import Line
+    from koordgen.operate.basestation import CannotServe, WrongFiles, all_targets, station
 
     fleet, _ = read_fleet(options.fleet, all_targets(), None)
     line = Line(sys.stderr)
@@ -243,19 +248,19 @@ def _basestation(options: Namespace) -> int:
 
 
 def _fleet_command(options: Namespace) -> int:
-    from koordgen.cli import collect, fleet_commands
+    from koordgen.cli.operate import collect, fleet_commands
 
     commands = {"start": fleet_commands.start, "stop": fleet_commands.stop, "logs": fleet_commands.logs}
     return {**commands, "collect": collect.collect}[options.command](options)
 
 
 def _doctor(options: Namespace) -> int:
-    from koordgen.doctor import CannotExamine, NoBundle, examine
+    from koordgen.operate.doctor import CannotExamine, NoBundle, examine
 
     if (options.bundle is None) == (options.fleet is None):
         raise Failure(USAGE, "one of BUNDLE and --fleet FLEET is expected", "`koordgen help doctor` shows examples")
     if options.fleet is not None:
-        from koordgen.cli.fleet_commands import doctor
+        from koordgen.cli.operate.fleet_commands import doctor
 
         return doctor(options)
     try:
@@ -266,37 +271,37 @@ def _doctor(options: Namespace) -> int:
 
 
 def _deploy(options: Namespace) -> int:
-    from koordgen.cli import deploy
+    from koordgen.cli.operate import deploy
 
     return {"deploy": deploy.deploy, "rollback": deploy.rollback, "key": deploy.key}[options.command](options)
 
 
 def _campaign(options: Namespace) -> int:
-    from koordgen.cli.campaign import campaign
+    from koordgen.cli.experiment.campaign import campaign
 
     return campaign(options)
 
 
 def _validate(options: Namespace) -> int:
-    from koordgen.cli.validate import validate
+    from koordgen.cli.experiment.validate import validate
 
     return validate(options)
 
 
 def _replay(options: Namespace) -> int:
-    from koordgen.cli.replay import replay
+    from koordgen.cli.verify.replay import replay
 
     return replay(options)
 
 
 def _audit(options: Namespace) -> int:
-    from koordgen.cli.audit import audit
+    from koordgen.cli.verify.audit import audit
 
     return audit(options)
 
 
 def _afterwards(options: Namespace) -> int:
-    from koordgen.cli.afterwards import afterwards
+    from koordgen.cli.experiment.afterwards import afterwards
 
     return afterwards(options)
 

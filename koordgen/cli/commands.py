@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from functools import cache
 
 from koordgen import __version__
-from koordgen.cli import options
-from koordgen.cli.parser import USAGE, Command, Parser, nearest
+from koordgen.cli.base import options
+from koordgen.cli.base.parser import USAGE, Command, Parser, nearest
 
 WRITE, PROVE, RUN, AFTER, ROBOTS, MORE = (
     "write a program", "verify a program", "build and simulate", "look at a run", "robots", "more",
@@ -27,7 +27,7 @@ COMMANDS: dict[str, Command] = {
     "examples": Command(WRITE, "list the examples, or copy one", options.examples, "cli#new-examples-docs", (
         "koordgen examples copy lineform", "koordgen examples copy task my/tasks")),
     "check": Command(WRITE, "check a program", options.check, "cli", (
-        f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.sarif")),
+        f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.cli.base.sarif")),
     "fmt": Command(WRITE, "format programs in place", options.fmt, "cli#fmt", (
         "koordgen fmt app.koord", "koordgen fmt --diff app.koord other.koord")),
     "explain": Command(WRITE, "explain an error code, a verdict, or why robots skip rounds", options.explain,
@@ -151,7 +151,7 @@ def overview() -> str:
 @cache
 def harnesses() -> dict[str, Command]:
     """Return the commands that build and run a bundle for a whole fleet: one for each target that is a harness."""
-    from koordgen import manifest
+    from koordgen.fleet import manifest
 
     return {
         t.name: Command(

@@ -10,9 +10,9 @@ import argparse
 import sys
 from typing import Any
 
+from koordgen.cli.base.console import HOLDS, SURROUNDINGS, Failure
+from koordgen.cli.base.parser import Parser
 from koordgen.cli.commands import COMMANDS, command_of, harnesses
-from koordgen.cli.console import HOLDS, SURROUNDINGS, Failure
-from koordgen.cli.parser import Parser
 
 _FOLDERS = {"DIR", "BUNDLE"}
 _FILES = {"FILE", "APP.koord", "FLEET", "TRACE", "PATH"}

@@ -7,8 +7,8 @@ from argparse import Namespace
 from difflib import get_close_matches
 from pathlib import Path
 
-from koordgen import resources
-from koordgen.cli import console
+from koordgen.cli.base import console
+from koordgen.lang import resources
 
 LIST = "`koordgen docs` lists all pages"
 

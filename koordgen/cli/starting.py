@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
-from koordgen import resources
-from koordgen.cli import console
+from koordgen.cli.base import console
+from koordgen.lang import resources
 
 LONGEST = 40  # characters of a program's name
 _KINDS = (".koord", ".yaml", ".py", ".md")  # what an example consists of, beside what running it has left

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE

@@ -15,8 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from koordgen.estop import Fleet, Place
-from koordgen.node import Node
+from koordgen.lang.node import Node
+from koordgen.operate.estop import Fleet, Place
 from koordgen.operate.status import Asked, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one question to a robot to the next

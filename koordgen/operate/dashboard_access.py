@@ -12,7 +12,7 @@ import secrets
 import ssl
 from pathlib import Path
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 
 LOOPBACK = "127.0.0.1"
 SHORTEST_TOKEN = 32  # characters

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable
 from pathlib import Path
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
 from koordgen.operate.release import (

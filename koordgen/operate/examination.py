@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 
 _STATES = ("ok", "warn", "fail")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 
-from koordgen.resources import package
+from koordgen.lang.resources import package
 
 _STUB = "from host_tool.__main__ import main\n\nraise SystemExit(main())\n"
 _MADE = (1980, 1, 1, 0, 0, 0)  # the earliest time that a ZIP file can tell

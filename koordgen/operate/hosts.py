@@ -20,9 +20,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from koordgen.deployment import Deployment, Login
-from koordgen.fleet import Fleet
-from koordgen.node import Node
+from koordgen.fleet.deployment import Deployment, Login
+from koordgen.fleet.file import Fleet
+from koordgen.lang.node import Node
 
 if TYPE_CHECKING:
     import asyncssh

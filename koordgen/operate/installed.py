@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import Answer, HostError, Sessions
 
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 
 ASKED = 5  # requests for a host's clock, of which the quickest counts

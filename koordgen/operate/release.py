@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from hashlib import blake2s, sha256
 from typing import Any
 
-from koordgen.bundle.write import SUMS
-from koordgen.node import Node
+from koordgen.build.bundle.write import SUMS
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import Host
 
 REQUIREMENTS = "requirements.txt"

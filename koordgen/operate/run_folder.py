@@ -11,16 +11,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from koordgen.audit.reading import found, opened
-from koordgen.audit.story import Mission, mission
-from koordgen.bundle.functions import functions_file
-from koordgen.bundle.plan import PARAMS, SOURCE, store_facts
-from koordgen.check.params import BadParam, with_params
-from koordgen.emit.program import program_hash
-from koordgen.fleet import Fleet
-from koordgen.ir.decl import Program
-from koordgen.pipeline import Rejected, check_file
-from koordgen.replay.trace import BadTrace
+from koordgen.build.bundle.functions import functions_file
+from koordgen.build.bundle.plan import PARAMS, SOURCE, store_facts
+from koordgen.build.emit.program import program_hash
+from koordgen.build.pipeline import Rejected, check_file
+from koordgen.fleet.file import Fleet
+from koordgen.lang.check.sections.params import BadParam, with_params
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.audit.reading import found, opened
+from koordgen.verify.audit.story import Mission, mission
+from koordgen.verify.replay.trace import BadTrace
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
 _FORMAT = "koord-trace/1"

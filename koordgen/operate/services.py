@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.hosts import Host, HostError, Sessions
 
 STOP_WITHIN = 30.0  # seconds in which an agent that was stopped must have ended

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from koordgen.estop import Fleet, Place
-from koordgen.node import Node, replace
+from koordgen.lang.node import Node, replace
+from koordgen.operate.estop import Fleet, Place
 from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import Asking

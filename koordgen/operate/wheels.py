@@ -16,7 +16,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from koordgen.node import Node
+from koordgen.lang.node import Node
 from koordgen.operate.release import digest_of
 from koordgen.runtime.ops.host import pip_install, requirement_for
 

@@ -1,6 +1,6 @@
-"""Verification of the verifier: independent checks of what the prover says.
+"""Verification: what can be known of a program before, and after, it runs.
 
-Owns the attacks on verdicts. Offers `koordgen.verify.attack`. Judges by the executable semantics alone, so that an
-error of the prover's encoding cannot hide itself. Must never import the command line, the emitter, the explorer or a
-target.
+Owns: proofs, exploration, replay of traces, audit of fleets, attack on proofs.
+Offers: one room for each; `prove` for any number of robots, `explore` for all runs of few.
+Must not import: `experiment` or any room above it. `attack` must not import the prover's obligations.
 """

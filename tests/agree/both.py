@@ -11,18 +11,18 @@ from typing import Any
 
 import msgspec
 
-from koordgen.emit.names import Names
-from koordgen.emit.program import functions_module, program_text
-from koordgen.ir import decl as d
-from koordgen.ir.printer import show
-from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.build.emit.names import Names
+from koordgen.build.emit.program import functions_module, program_text
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir.printer import show
+from koordgen.lang.ir.types import ExternType, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.lang.semantics import step
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes, declared
+from koordgen.lang.semantics.state import State, World
+from koordgen.lang.semantics.values import RecordValue, Value, conforms
 from koordgen.runtime.program import program as rt
 from koordgen.runtime.values.points import Opaque, Point
-from koordgen.semantics import step
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import Writes, declared
-from koordgen.semantics.state import State, World
-from koordgen.semantics.values import RecordValue, Value, conforms
 from tests.agree.kinds import Ticket, not_finite, random_value
 from tests.agree.programs import N_SYS, random_program, random_state
 

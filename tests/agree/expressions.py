@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from koordgen.ir import expr as e
-from koordgen.ir.types import (
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.types import (
     BALL,
     BOOL,
     FLOAT,

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir import stmt as s
-from koordgen.ir.types import INT, Sequence, TupleOf
-from koordgen.node import Node, replace
-from koordgen.semantics import builtins, eval, exec, numbers, values
-from koordgen.semantics.eval import View
-from koordgen.semantics.values import Value, items
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.types import INT, Sequence, TupleOf
+from koordgen.lang.node import Node, replace
+from koordgen.lang.semantics import builtins, eval, exec, numbers, values
+from koordgen.lang.semantics.eval import View
+from koordgen.lang.semantics.values import Value, items
 from tests.agree.both import Generated, Pass, nothing, untouched
 from tests.agree.general import binary, when
 from tests.agree.kinds import whole

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from random import Random
 from typing import Literal
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir.types import BOOL, INT, PLANNER, POINT, PerRobot, Type, list_of
-from koordgen.node import nodes, replace
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.types import BOOL, INT, PLANNER, POINT, PerRobot, Type, list_of
+from koordgen.lang.node import nodes, replace
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Maker, Temp, compare
 from tests.agree.kinds import AT, whole

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir.types import (
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.types import (
     BOOL,
     GRID,
     GRIDMAP,
@@ -71,7 +71,7 @@ class General(ABC):
     def __init__(self, rng: Random, program: d.Program, place: str) -> None:
         self.rng = rng
         self.program = program
-        self.place = place  # as koordgen/ir/verify_expr.py names places
+        self.place = place  # as koordgen/lang/ir/verify_expr.py names places
         self.temps: list[Temp] = []
         self.busy = place == "function"  # may run often: nothing must grow by squaring or doubling
 

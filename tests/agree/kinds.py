@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from koordgen.ir import expr as e
-from koordgen.ir.types import (
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
     GRID,
@@ -29,11 +29,11 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
+from koordgen.lang.semantics.builtins import map_of, set_of
+from koordgen.lang.semantics.values import RecordValue, Value
+from koordgen.lang.source import Span
 from koordgen.runtime.values.gridmap import GridMap, area, mark_free, mark_occupied
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.semantics.builtins import map_of, set_of
-from koordgen.semantics.values import RecordValue, Value
-from koordgen.source import Span
 
 AT = Span(1, 1, 1, 2)
 SIZE = 0.5  # of the cells of nearly all maps and grids

@@ -5,10 +5,10 @@ from __future__ import annotations
 from random import Random
 from typing import Literal
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir import stmt as s
-from koordgen.ir.types import (
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
     INT,
@@ -25,10 +25,10 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
-from koordgen.node import Node, replace
-from koordgen.semantics import step
-from koordgen.semantics.state import Robot, State, Store
-from koordgen.semantics.values import Value
+from koordgen.lang.node import Node, replace
+from koordgen.lang.semantics import step
+from koordgen.lang.semantics.state import Robot, State, Store
+from koordgen.lang.semantics.values import Value
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Temp, compare
 from tests.agree.kinds import AT, KEYS, TICKET, constant, random_type, random_value, sized, whole

@@ -10,22 +10,22 @@ from typing import Any
 import msgspec
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
-from koordgen.bundle.budget import check_budget
-from koordgen.emit.program import program_text
-from koordgen.ir import decl as d
-from koordgen.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
-from koordgen.node import replace
+from koordgen.build.bundle.budget import check_budget
+from koordgen.build.emit.program import program_text
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
+from koordgen.lang.node import replace
+from koordgen.lang.semantics import step
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes, declared
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.program.program import Frame
 from koordgen.runtime.program.skips import LOST_CONTENTION, name_of
 from koordgen.runtime.replication.commits import winner
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed
-from koordgen.semantics import step
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import Writes, declared
-from koordgen.semantics.state import State
-from koordgen.semantics.values import RecordValue, Value
 from tests.agree.both import Difference, Generated, Meant, answer, key
 from tests.agree.kinds import random_value
 from tests.agree.programs import N_SYS, random_program

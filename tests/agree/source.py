@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir import stmt as s
-from koordgen.ir.builtins import METHODS, UPDATES
-from koordgen.ir.printer import capacities
-from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.builtins import METHODS, UPDATES
+from koordgen.lang.ir.printer import capacities
+from koordgen.lang.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
 
 _METHODS = {name for _, name in METHODS}
 _STATEMENTS = {

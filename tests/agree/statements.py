@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from random import Random
 
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir import stmt as s
-from koordgen.ir.types import (
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.types import (
     BOOL,
     INT,
     STRING,
@@ -19,8 +19,8 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
-from koordgen.node import nodes
-from koordgen.source import Span
+from koordgen.lang.node import nodes
+from koordgen.lang.source import Span
 from tests.agree.expressions import Expressions
 from tests.agree.general import Temp, binary, call, compare, length
 from tests.agree.kinds import AT, random_type, whole

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.ir import expr, stmt
-from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
-from koordgen.ir.verify import verify
-from koordgen.semantics.step import initial, round_
+from koordgen.build.emit.program import program_text
+from koordgen.lang.ir import expr, stmt
+from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.semantics.step import initial, round_
 from tests.agree.both import Difference, Generated, Meant, Outcome, agree
 from tests.agree.faults import COMMON, NAN_COMPARED, RARE, Fault
 from tests.agree.programs import N_SYS, nodes, random_program

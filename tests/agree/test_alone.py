@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
-from koordgen.ir.verify import verify
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
+from koordgen.lang.ir.verify import verify
 from koordgen.runtime.program.property import UNKNOWN, Known, judged
 from tests.agree.both import Generated
 from tests.agree.formulas import with_formulas

@@ -8,13 +8,13 @@ from contextlib import suppress
 
 import pytest
 
-from koordgen.emit import size
-from koordgen.emit.program import program_text
+from koordgen.build.emit import size
+from koordgen.build.emit.program import program_text
+from koordgen.lang.semantics import eval, exec, numbers, values
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program import metered
 from koordgen.runtime.values import containers, turns
-from koordgen.semantics import eval, exec, numbers, values
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.step import initial
 from tests.agree.both import Generated, Meant, agree
 from tests.agree.programs import N_SYS
 from tests.semantics.programs import compiled

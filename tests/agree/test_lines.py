@@ -12,15 +12,15 @@ from typing import Any
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.ir import decl as d
-from koordgen.ir import stmt as s
-from koordgen.node import Node, replace
+from koordgen.build.emit.program import program_text
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.node import Node, replace
+from koordgen.lang.semantics import step
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.state import State
+from koordgen.lang.source import Span
 from koordgen.runtime.program import program as rt
-from koordgen.semantics import step
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.state import State
-from koordgen.source import Span
 from tests.agree.both import Generated, Meant
 from tests.agree.kinds import AT
 from tests.agree.programs import N_SYS, random_program, random_state

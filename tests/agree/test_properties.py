@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
-from koordgen.ir import decl as d
-from koordgen.ir.verify import verify
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import declared
+from koordgen.lang.semantics.property import Asked, holds_assumption, holds_property
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program.property import Known, Outcome, Properties, judged
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import declared
-from koordgen.semantics.property import Asked, holds_assumption, holds_property
-from koordgen.semantics.state import State
-from koordgen.semantics.step import initial
 from tests.agree.both import Generated, Meant, answer
 from tests.agree.formulas import with_formulas
 from tests.agree.programs import N_SYS, random_state

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from koordgen.check import check
-from koordgen.ir import decl as d
-from koordgen.ir import expr as e
-from koordgen.ir.verify import verify
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl as d
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.agree.both import Meant
 from tests.agree.programs import N_SYS, nodes, random_program, random_state
 from tests.agree.source import Unwritable, source

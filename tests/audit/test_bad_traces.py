@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.audit.reading import opened
-from koordgen.audit.story import mission
 from koordgen.cli import main
-from koordgen.replay.trace import BadTrace
+from koordgen.verify.audit.reading import opened
+from koordgen.verify.audit.story import mission
+from koordgen.verify.replay.trace import BadTrace
 from tests.audit.fleets import audited, by_name
 from tests.audit.test_audit import HOLDS, edit, home_of
 

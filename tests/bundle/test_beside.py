@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import manifest
-from koordgen.bundle.write import write
-from koordgen.fleet import Fleet, read
-from koordgen.offered import Driver
-from koordgen.pipeline import Rejected, plan_file
-from koordgen.source import Source, Span
+from koordgen.build.bundle.write import write
+from koordgen.build.pipeline import Rejected, plan_file
+from koordgen.fleet import manifest
+from koordgen.fleet.file import Fleet, read
+from koordgen.fleet.offered import Driver
+from koordgen.lang.source import Source, Span
 from tests.emit.generated import checked
 
 ROOT = Path(__file__).parents[2]
@@ -82,7 +82,7 @@ def test_the_program_of_a_driver_that_fits_no_port_is_refused(tmp_path: Path) ->
 
 
 def test_streams_are_everyones() -> None:
-    from koordgen.bundle.offer import check_ports
+    from koordgen.build.bundle.offer import check_ports
 
     program = checked('using Log:\n  stream stdout\nE:\n  pre: True\n  eff: Log.stdout << "a"\n')
     assert check_ports(program, [manifest.load("car")]) == []

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.bundle.budget import (
+from koordgen.build.bundle.budget import (
     MOST_CLOSING,
     MOST_SHARED,
     check_budget,
@@ -19,16 +19,16 @@ from koordgen.bundle.budget import (
     overhead,
     store_bytes,
 )
-from koordgen.check import check
-from koordgen.emit.program import WIRE_FORMAT, program_text
-from koordgen.ir.decl import Program
+from koordgen.build.emit.program import WIRE_FORMAT, program_text
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from koordgen.runtime.net import layout, wire
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.program.program import Program as Generated
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
 
 EVENT = "E:\n  pre: True\n  eff: pass\n"
 

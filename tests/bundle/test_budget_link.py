@@ -7,9 +7,9 @@ import re
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.bundle.budget import check_link, on_the_medium, overhead, round_bytes
-from koordgen.ir.decl import Program
-from koordgen.medium import Link
+from koordgen.build.bundle.budget import check_link, on_the_medium, overhead, round_bytes
+from koordgen.fleet.medium import Link
+from koordgen.lang.ir.decl import Program
 from koordgen.runtime.net.network import Conditions
 from tests.bundle.test_budget import checked, generated
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle.calls import check_calls, planner_budget
+from koordgen.build.bundle.calls import check_calls, planner_budget
 from koordgen.cli import main
 from tests.emit.generated import MOTION, checked
 

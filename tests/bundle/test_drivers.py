@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import manifest
-from koordgen.bundle.drivers import check_drivers, driver_files
-from koordgen.offered import Driver
+from koordgen.build.bundle.drivers import check_drivers, driver_files
+from koordgen.fleet import manifest
+from koordgen.fleet.offered import Driver
 from tests.emit.generated import checked
 
 PROGRAM = checked(

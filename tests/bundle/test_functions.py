@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle import probe
-from koordgen.bundle.functions import check_functions, functions_file
+from koordgen.build.bundle import probe
+from koordgen.build.bundle.functions import check_functions, functions_file
 from tests.emit.generated import checked
 
 PROGRAM = checked(

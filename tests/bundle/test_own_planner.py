@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle.write import write
-from koordgen.pipeline import Rejected, plan_file
+from koordgen.build.bundle.write import write
+from koordgen.build.pipeline import Rejected, plan_file
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform"
 MINE = """

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import fleet, manifest, resources
-from koordgen.bundle.plan import Files, plan, read_ingredients
-from koordgen.pipeline import check_file
+from koordgen.build.bundle.plan import Files, plan, read_ingredients
+from koordgen.build.pipeline import check_file
+from koordgen.fleet import file as fleet
+from koordgen.fleet import manifest
+from koordgen.lang import resources
+from koordgen.lang.source import Source
 from koordgen.runtime.config.settings import BadSettings, load
-from koordgen.source import Source
 from tests.golden.test_golden import PROGRAMS
 
 PROGRAM, FLEET = PROGRAMS["lineform"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle.write import SUMS, CannotWrite, Foreign, sums, write
+from koordgen.build.bundle.write import SUMS, CannotWrite, Foreign, sums, write
 
 
 def bundle(**files: str) -> dict[str, bytes]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.campaign import store
+from koordgen.experiment.campaign import store
 
 NAME = "sim"
 SOURCE = """

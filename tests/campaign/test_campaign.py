@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from koordgen import cli
-from koordgen.campaign import plots, store
-from koordgen.cli import building
-from koordgen.cli import campaign as command
+from koordgen.cli.base import building
+from koordgen.cli.experiment import campaign as command
+from koordgen.experiment.campaign import plots, store
 from tests.campaign import fake
 
 DRAW = plots.draw
@@ -270,7 +270,8 @@ def test_interrupted_it_can_be_resumed(number: signal.Signals, capsys: pytest.Ca
 def test_killed_it_can_be_resumed(tmp_path: Path) -> None:
     """kill -9, while a run hangs."""
     program = (
-        "import sys\nfrom koordgen import cli\nfrom koordgen.cli import building, campaign\n"
+        "import sys\nfrom koordgen import cli\nfrom koordgen.cli.base import building\n"
+        "from koordgen.cli.experiment import campaign\n"
         "from tests.campaign import fake\n"
         "building.planned = lambda options, targets: ({'sim': {'SHA256SUMS': b'sums'}}, 'app')\n"
         "building.require_packages = lambda: None\ncampaign._builder = lambda options, harness: fake.build\n"

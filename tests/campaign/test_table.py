@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.campaign import plots, table
-from koordgen.campaign.store import Result
+from koordgen.experiment.campaign import plots, table
+from koordgen.experiment.campaign.store import Result
 
 RESULTS = [
     Result(0, {"seed": "1", "loss": "0.1"}, "held", "", "", 10.0, 0.9, 0, figures={"tasks": 20.0}),

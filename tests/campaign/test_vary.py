@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.campaign import plan, vary
-from koordgen.campaign.vary import BadVary, Grid, Range, Seeds
+from koordgen.experiment.campaign import plan, vary
+from koordgen.experiment.campaign.vary import BadVary, Grid, Range, Seeds
 
 
 def test_what_is_varied_is_read() -> None:

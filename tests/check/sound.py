@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from koordgen.check import check
-from koordgen.ir import decl
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 TEXT = """using Motion:
   sensors: Point position

@@ -7,12 +7,12 @@ import re
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.check import check
-from koordgen.ir.decl import Program
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.step import initial, round_
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.step import initial, round_
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 leaves = st.sampled_from(["pid", "pid", "N_SYS", "k", "count", "0", "1", "2", "3"])
 terms = st.recursive(

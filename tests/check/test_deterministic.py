@@ -9,10 +9,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SHOW = """
-from koordgen.check import check
-from koordgen.diagnostics import to_json, together
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import to_json, together
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.lang.test_lang import CASES
 
 assert len(CASES) > 100

@@ -7,19 +7,20 @@ from random import Random
 
 import pytest
 
-from koordgen.check import check, induction
-from koordgen.check.flow import Flow
-from koordgen.check.induction import Candidate, Turns
-from koordgen.diagnostics import InternalError
-from koordgen.ir import decl, expr, stmt
-from koordgen.node import nodes
-from koordgen.semantics import exec
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.state import State
-from koordgen.semantics.step import enabled, execute, initial
-from koordgen.semantics.values import Value
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.analyze import induction
+from koordgen.lang.analyze.flow import Flow
+from koordgen.lang.analyze.induction import Candidate, Turns
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.node import nodes
+from koordgen.lang.semantics import exec
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import enabled, execute, initial
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.check.random_loops import random_text
 
 CERTAIN = {"K012", "K030", "K032", "K036"}  # what is wrong for certain is refused
@@ -188,7 +189,7 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
 )
 def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(induction, name, fault)
-    monkeypatch.setattr("koordgen.check.loop.kept", induction.kept)
+    monkeypatch.setattr("koordgen.lang.check.statements.loop.kept", induction.kept)
     assert not all(reported(block) for block in OPEN.values())
 
 

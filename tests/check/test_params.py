@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.check import check, params
-from koordgen.ir import decl
-from koordgen.ir.printer import show
-from koordgen.ir.verify import verify
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections import params
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.printer import show
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 PARAMS = """def Task:
   Point target

@@ -6,16 +6,16 @@ from random import Random
 
 import pytest
 
-from koordgen.check import check
-from koordgen.check.decide import unsat
-from koordgen.check.facts import Flow, formula
-from koordgen.check.linear import negate
-from koordgen.check.path import Condition, Path, is_open, joined
-from koordgen.ir import expr as e
-from koordgen.ir import stmt as s
-from koordgen.ir.types import BOOL, FLOAT, INT
-from koordgen.source import Source, Span
-from koordgen.syntax.parse import parse
+from koordgen.lang.analyze.decide import unsat
+from koordgen.lang.analyze.facts import Flow, formula
+from koordgen.lang.analyze.linear import negate
+from koordgen.lang.analyze.path import Condition, Path, is_open, joined
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import expr as e
+from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.types import BOOL, FLOAT, INT
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
 
 AT = Span(1, 1, 1, 1)
 OPERATORS = ("==", "!=", "<", "<=", ">", ">=")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from koordgen.ir.printer import show
-from koordgen.ir.verify import verify
+from koordgen.lang.ir.printer import show
+from koordgen.lang.ir.verify import verify
 from tests.check.sound import SOUND
 
 SHOWN = """program app (app.koord)

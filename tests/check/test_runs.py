@@ -5,11 +5,11 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.check import check
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.step import initial, round_
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.step import initial, round_
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 HEAD = """\
 param int k = 2

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.diagnostics import InternalError
-from koordgen.ir import decl, expr, stmt
-from koordgen.ir.types import (
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
     GRIDMAP,
@@ -22,9 +22,9 @@ from koordgen.ir.types import (
     TupleOf,
     list_of,
 )
-from koordgen.ir.verify import verify
-from koordgen.node import replace
-from koordgen.source import Span
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.node import replace
+from koordgen.lang.source import Span
 from tests.check.sound import SOUND
 
 AT = Span(3, 1, 3, 2)

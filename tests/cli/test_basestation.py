@@ -16,8 +16,12 @@ from typing import Any
 
 import pytest
 
-from koordgen import basestation
-from koordgen.basestation import (
+from koordgen.build.pipeline import read_fleet
+from koordgen.cli import main
+from koordgen.cli.base.terminal import Line
+from koordgen.fleet.mocap import Mocap
+from koordgen.operate import basestation
+from koordgen.operate.basestation import (
     Body,
     Camera,
     CannotServe,
@@ -29,10 +33,6 @@ from koordgen.basestation import (
     receivers,
     station,
 )
-from koordgen.cli import main
-from koordgen.cli.terminal import Line
-from koordgen.mocap import Mocap
-from koordgen.pipeline import read_fleet
 from koordgen.runtime.vehicle.feed import Feed
 from tests.terminal import terminal
 

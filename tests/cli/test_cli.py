@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.cli import main
-from koordgen.diagnostics import CATALOGUE
+from koordgen.lang.diagnostics import CATALOGUE
 from koordgen.runtime.program import skips
 from tests.disk import small_disk
 
@@ -350,7 +350,7 @@ def test_check_imports_nothing_heavy() -> None:
     code = (
         "import sys; from koordgen.cli import main; status = main(['check', sys.argv[1]]);"
         "print(sorted(set(sys.modules) & {'jinja2', 'yaml', 'json', 'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
-        " 'pybullet', 'pymavlink', 'tomllib', 'koordgen.explain', 'koordgen.sarif'})); sys.exit(status)"
+        " 'pybullet', 'pymavlink', 'tomllib', 'koordgen.lang.explain', 'koordgen.cli.base.sarif'})); sys.exit(status)"
     )
     done = subprocess.run([sys.executable, "-c", code, str(LINEFORM)], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stdout.strip()) == (0, "[]"), done.stderr
@@ -360,7 +360,8 @@ def test_build_imports_no_robot_package(tmp_path: Path) -> None:
     code = (
         "import sys; from koordgen.cli import main; status = main(['build', sys.argv[1], '--target', 'quad,car',"
         " '-o', sys.argv[2]]); print(sorted(set(sys.modules) & {'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
-        " 'pybullet', 'pymavlink', 'yaml', 'koordgen.explain', 'koordgen.sarif'}), file=sys.stderr); sys.exit(status)"
+        " 'pybullet', 'pymavlink', 'yaml', 'koordgen.lang.explain', 'koordgen.cli.base.sarif'}), file=sys.stderr);"
+        " sys.exit(status)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(LINEFORM), str(tmp_path)], capture_output=True, text=True, cwd=ROOT
@@ -371,7 +372,7 @@ def test_build_imports_no_robot_package(tmp_path: Path) -> None:
 def test_an_error_of_the_compiler_is_not_the_users(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("koordgen.pipeline.check", lambda *_: 1 / 0)
+    monkeypatch.setattr("koordgen.build.pipeline.check", lambda *_: 1 / 0)
     assert main(["check", str(LINEFORM)]) == 70
     assert "mistake of koordgen" in capsys.readouterr().err
 

@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import NAMES, settings
-from koordgen import estop
 from koordgen.cli import main
+from koordgen.operate import estop
 from tests.runtime.test_process import bundles, change, rounds, run, start, started
 
 __all__ = ["bundles", "started"]  # fixtures
@@ -313,7 +313,7 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
 def test_it_needs_no_package_beside_yaml_and_waits_for_no_compiler(fleet: Path, tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules.update(dict.fromkeys(['msgspec', 'numpy', 'jinja2']))\n"
-        "from koordgen import estop; estop.PATIENCE = 0.05\n"
+        "from koordgen.operate import estop; estop.PATIENCE = 0.05\n"
         "from koordgen.cli import main; sys.exit(main(['estop', sys.argv[1]]))"
     )
     cache = tmp_path / "cache"

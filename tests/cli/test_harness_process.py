@@ -16,7 +16,7 @@ COMMAND = """
 import sys
 from pathlib import Path
 from koordgen import cli
-from koordgen.cli import building
+from koordgen.cli.base import building
 
 def write(bundles, folder):
     (folder / "sim").mkdir()

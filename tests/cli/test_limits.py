@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.cli.alarm import alarm
-from koordgen.semantics.deadline import OutOfTime
+from koordgen.cli.base.alarm import alarm
+from koordgen.lang.semantics.deadline import OutOfTime
 from tests.replay.runs import Run
 
 HANG = 120  # seconds: no criterion but for a hang, on a machine however busy

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.cli import main
-from koordgen.cli.harness import ALONE
+from koordgen.cli.experiment.harness import ALONE
 
 ROOT = Path(__file__).parents[2]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"

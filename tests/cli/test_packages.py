@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from koordgen.cli import building, console
+from koordgen.cli.base import building, console
 
 EVERYWHERE = {"casadi", "matplotlib", "mcap", "msgspec", "numpy", "pillow", "pymavlink", "pyserial"}
 

@@ -12,8 +12,8 @@ import pytest
 
 from koordgen import __version__
 from koordgen.cli import _COMMANDS, main
+from koordgen.cli.base.parser import Parser
 from koordgen.cli.commands import COMMANDS, harnesses, parsed
-from koordgen.cli.parser import Parser
 from targets.sim.schedule import DURATION, MOST_DELAY
 
 ROOT = Path(__file__).parents[2]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from koordgen import __version__
 from koordgen.cli import main
-from koordgen.diagnostics import CATALOGUE, Diagnostic, Label
-from koordgen.sarif import to_sarif
-from koordgen.source import Source, Span
+from koordgen.cli.base.sarif import to_sarif
+from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, Label
+from koordgen.lang.source import Source, Span
 
 FOLDER = Path("/work")
 

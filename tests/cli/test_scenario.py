@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from koordgen.cli import harness, main
-from koordgen.scenario import read
-from koordgen.source import Source, Span
+from koordgen.cli import main
+from koordgen.cli.experiment import harness
+from koordgen.fleet.scenario import read
+from koordgen.lang.source import Source, Span
 from targets.sim.schedule import read as check
 
 LINEFORM = Path(__file__).parents[2] / "examples/lineform"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.cli import console
+from koordgen.cli.base import console
 from koordgen.cli.commands import COMMANDS, harnesses
 from tests.cli.test_parser import left
 

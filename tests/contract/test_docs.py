@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import manifest
-from koordgen.diagnostics import CATALOGUE
+from koordgen.fleet import manifest
+from koordgen.lang.diagnostics import CATALOGUE
 from tests.lang.test_lang import found, wanted
 
 LANGUAGE = (Path(__file__).parents[2] / "docs/language.md").read_text(encoding="utf-8")

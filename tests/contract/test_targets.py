@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import manifest, robots
-from koordgen.ir.types import GENERIC, NAMED
+from koordgen.fleet import manifest, robots
+from koordgen.lang.ir.types import GENERIC, NAMED
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.ops.findings import OWN
 from koordgen.runtime.vehicle.platform import Platform
@@ -160,9 +160,9 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 
 
 def test_robots_limit_is_the_wires() -> None:
-    from koordgen.cli import values
-    from koordgen.follow import read
+    from koordgen.cli.base import values
     from koordgen.runtime.net.wire import MAX_ROBOTS
+    from koordgen.verify.follow import read
 
     assert robots.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
 

@@ -6,14 +6,14 @@ import sys
 from types import ModuleType
 from typing import Any
 
-from koordgen.check import check
-from koordgen.emit.program import program_text
-from koordgen.ir.decl import Program as IR
-from koordgen.ir.verify import verify
+from koordgen.build.emit.program import program_text
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir.decl import Program as IR
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from koordgen.runtime.program import program as rt
 from koordgen.runtime.values.points import Point
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
 
 MOTION = """using Motion:
   sensors: Point position

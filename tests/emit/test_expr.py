@@ -7,12 +7,12 @@ from itertools import product
 
 import pytest
 
-from koordgen.emit.expr import text
-from koordgen.emit.names import Names
-from koordgen.ir import expr as ir
-from koordgen.ir.decl import Program
-from koordgen.ir.types import FLOAT, INT
-from koordgen.source import Span
+from koordgen.build.emit.expr import text
+from koordgen.build.emit.names import Names
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.types import FLOAT, INT
+from koordgen.lang.source import Span
 
 AT = Span(1, 1, 1, 2)
 NAMES = Names(Program("p", "p.koord", *[()] * 13))

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
 from tests.emit.generated import checked
 
 HEAD = """

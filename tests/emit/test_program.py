@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from koordgen.emit.program import program_text
+from koordgen.build.emit.program import program_text
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.state import Store, World, nobody
+from koordgen.lang.semantics.step import execute, initial
 from koordgen.runtime.program.program import Effects, Fault
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.state import Store, World, nobody
-from koordgen.semantics.step import execute, initial
 from tests.emit.generated import MOTION, checked, frame, load, locals_after, step
 
 

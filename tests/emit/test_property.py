@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
 from koordgen.runtime.program.property import UNKNOWN, Bound, Known, Outcome, Properties, Read, Trail, judged
 from koordgen.runtime.values.points import Point
 from tests.emit.generated import _module, checked

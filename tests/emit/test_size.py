@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.emit.program import program_text
+from koordgen.build.emit.program import program_text
 from tests.semantics.programs import compiled
 
 

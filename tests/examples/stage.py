@@ -11,18 +11,18 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from koordgen import manifest
-from koordgen.check.params import with_params
-from koordgen.fleet import Fleet
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file, read_fleet
+from koordgen.build.pipeline import check_file, read_fleet
+from koordgen.fleet import manifest
+from koordgen.fleet.file import Fleet
+from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import NoMeaning, Writes
+from koordgen.lang.semantics.property import holds_property
+from koordgen.lang.semantics.state import State, World
+from koordgen.lang.semantics.step import Step, initial, round_, run_init, sense
+from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.points import Grid, Point, Scan, distance
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import NoMeaning, Writes
-from koordgen.semantics.property import holds_property
-from koordgen.semantics.state import State, World
-from koordgen.semantics.step import Step, initial, round_, run_init, sense
-from koordgen.semantics.values import Value
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SPEED, NEAR = 1.0, 0.05  # m/s; metres within which a goal counts as met

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from koordgen import cli
-from koordgen.format.files import format_file
-from koordgen.pipeline import check_file
+from koordgen.build.pipeline import check_file
+from koordgen.lang.format.files import format_file
 from tests.examples.stage import EXAMPLES
 
 ROOT = EXAMPLES.parent

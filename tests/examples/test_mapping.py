@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.state import State, World
+from koordgen.lang.semantics.step import enabled, execute, initial
+from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.gridmap import GridMap, area, mark_free, mark_occupied, merge
 from koordgen.runtime.values.points import Grid, Point
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.state import State, World
-from koordgen.semantics.step import enabled, execute, initial
-from koordgen.semantics.values import Value
 from tests.examples.stage import EXAMPLES
 
 N_SYS, PID = 3, 1

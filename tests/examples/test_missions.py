@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.gridmap import GridMap, is_free, is_occupied
 from koordgen.runtime.values.points import Grid, Point
-from koordgen.semantics.state import State
-from koordgen.semantics.values import Value
 from tests.examples.stage import Stage
 
 SKIPS = pytest.mark.parametrize("skips", [0.0, 0.3])

@@ -9,22 +9,24 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import explain, fleet, manifest
-from koordgen.bundle.budget import check_budget, check_link
-from koordgen.bundle.calls import check_calls
-from koordgen.bundle.drivers import check_drivers, driver_files
-from koordgen.bundle.functions import check_functions, functions_file
-from koordgen.bundle.offer import check_ports
-from koordgen.check import check
+from koordgen.build.bundle.budget import check_budget, check_link
+from koordgen.build.bundle.calls import check_calls
+from koordgen.build.bundle.drivers import check_drivers, driver_files
+from koordgen.build.bundle.functions import check_functions, functions_file
+from koordgen.build.bundle.offer import check_ports
+from koordgen.build.pipeline import Rejected, read_source
 from koordgen.cli import main
-from koordgen.diagnostics import CATALOGUE, Diagnostic, together
-from koordgen.explain import Explanation, explanation, show
-from koordgen.ir.decl import Program
-from koordgen.medium import Link
-from koordgen.offered import Driver
-from koordgen.pipeline import Rejected, read_source
-from koordgen.source import Source, Span
-from koordgen.syntax.parse import parse
+from koordgen.fleet import file as fleet
+from koordgen.fleet import manifest
+from koordgen.fleet.medium import Link
+from koordgen.fleet.offered import Driver
+from koordgen.lang import explain
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
+from koordgen.lang.explain import Explanation, explanation, show
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
 
 FOLDER = Path(explain.__file__).parent
 

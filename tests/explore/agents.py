@@ -7,16 +7,16 @@ from random import Random
 from typing import Any
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
-from koordgen.emit.program import program_text
-from koordgen.ir import decl
+from koordgen.build.emit.program import program_text
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.property import holds_assumption
+from koordgen.lang.semantics.state import State, Store
+from koordgen.lang.semantics.step import execute, initial, round_, run_init, select, sense
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.replication.commits import winner
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.property import holds_assumption
-from koordgen.semantics.state import State, Store
-from koordgen.semantics.step import execute, initial, round_, run_init, select, sense
 from tests.agree.both import Generated
 from tests.explore.random_programs import LEVELS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from koordgen.explore.search import DEADLOCK
+from koordgen.verify.explore.search import DEADLOCK
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

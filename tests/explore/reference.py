@@ -6,15 +6,15 @@ from collections.abc import Hashable, Iterator
 from itertools import count, product
 from typing import Any
 
-from koordgen.explore.environment import Domain, Environment, Surroundings, answering
-from koordgen.explore.machine import Machine, Packed
-from koordgen.explore.search import Bounds, Result, Search
-from koordgen.ir import decl
-from koordgen.node import replace
-from koordgen.semantics.property import holds_assumption, holds_property
-from koordgen.semantics.relations import rounds
-from koordgen.semantics.state import State
-from koordgen.semantics.step import initial, run_init, sense
+from koordgen.lang.ir import decl
+from koordgen.lang.node import replace
+from koordgen.lang.semantics.property import holds_assumption, holds_property
+from koordgen.lang.semantics.relations import rounds
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import initial, run_init, sense
+from koordgen.verify.explore.environment import Domain, Environment, Surroundings, answering
+from koordgen.verify.explore.machine import Machine, Packed
+from koordgen.verify.explore.search import Bounds, Result, Search
 from tests.explore.random_programs import LEVELS
 
 LEVEL = Environment({"Dev.level": Domain(LEVELS)}, {})

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.explore.search import Search
-from koordgen.explore.symmetry import distinguishes, sorted_robots
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.prove.model import true
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.explore.search import Search
+from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
+from koordgen.verify.prove.report.model import true
 from tests.explore.random_programs import program as random_text
 from tests.explore.reference import (
     LEVEL,

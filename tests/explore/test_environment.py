@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from koordgen.explore.environment import STRAIGHT, Environment, Lacking
-from koordgen.explore.lidar import lidar
-from koordgen.ir.decl import Program
+from koordgen.lang.ir.decl import Program
 from koordgen.runtime.values.points import Point
+from koordgen.verify.explore.environment import STRAIGHT, Environment, Lacking
+from koordgen.verify.explore.lidar import lidar
 from tests.explore.reference import explored
 from tests.explore.test_search import MOTION, read
 from tests.semantics.programs import compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.explore.search import DEADLOCK, WELL_DEFINED
+from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED
 from tests.explore.reference import LEVEL, explored
 from tests.semantics.programs import compiled
 

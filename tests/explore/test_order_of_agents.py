@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.ir import decl
-from koordgen.semantics.relations import Happened, choice, is_order_of_agents
-from koordgen.semantics.state import State
-from koordgen.semantics.step import applied, initial, round_, run_init, select
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.relations import Happened, choice, is_order_of_agents
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import applied, initial, round_, run_init, select
 from tests.explore.reference import LEVEL, after_explored, explored, key, unjudged
 from tests.semantics.priorities import ranked
 from tests.semantics.programs import compiled

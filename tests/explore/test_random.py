@@ -8,8 +8,8 @@ from itertools import count
 
 import pytest
 
-from koordgen.ir import decl
-from koordgen.semantics.state import State
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.state import State
 from tests.explore.agents import QUIET, ROUGH, Agents, stored
 from tests.explore.random_programs import program as random_text
 from tests.explore.reference import LEVEL, explored, key, reached, unjudged

@@ -6,16 +6,16 @@ import json
 
 import pytest
 
-from koordgen.explore.envfile import environment
-from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking
-from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Bounds
-from koordgen.explore.show import document, itf, report, trace
-from koordgen.ir.decl import Program
-from koordgen.prove.solve import Solver
-from koordgen.prove.trace import About
-from koordgen.prove.verdict import Question, prove
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
-from koordgen.source import Source, Span
+from koordgen.verify.explore.envfile import environment
+from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
+from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, Bounds
+from koordgen.verify.explore.show import document, itf, report, trace
+from koordgen.verify.prove.report.trace import About
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Solver
 from tests.explore.reference import explored, search
 from tests.semantics.programs import compiled
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures import spin
-from koordgen.pipeline import check_file
+from koordgen.build.pipeline import check_file
 from tests.explore.reference import explored
 
 ELECTION = Path(__file__).parents[2] / "examples/election/election.koord"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import manifest
-from koordgen.deployment import Deployment, Login
-from koordgen.pipeline import plan_file
+from koordgen.build.pipeline import plan_file
+from koordgen.fleet import manifest
+from koordgen.fleet.deployment import Deployment, Login
 from tests.fleet.test_fleet import GOOD, read
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform"

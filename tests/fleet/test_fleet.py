@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen import fleet, manifest, medium
-from koordgen.offered import Fits
-from koordgen.robots import control_port
+from koordgen.fleet import file as fleet
+from koordgen.fleet import manifest, medium
+from koordgen.fleet.offered import Fits
+from koordgen.fleet.robots import control_port
+from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Network, Safety, Settings
-from koordgen.source import Source, Span
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
 TARGETS = {name: manifest.load(name) for name in manifest.available()}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.mocap import Mocap, Quaternion, Vector
+from koordgen.fleet.mocap import Mocap, Quaternion, Vector
 from tests.fleet.test_fleet import GOOD, read
 
 LEVEL: Quaternion = (0.0, 0.0, 0.0, 1.0)

@@ -7,12 +7,13 @@ from typing import get_args
 
 import pytest
 
-from koordgen import fleet, manifest
-from koordgen.offered import Known
-from koordgen.pipeline import Rejected, check_file, read_fleet
+from koordgen.build.pipeline import Rejected, check_file, read_fleet
+from koordgen.fleet import file as fleet
+from koordgen.fleet import manifest
+from koordgen.fleet.offered import Known
+from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Action
 from koordgen.runtime.monitor.monitor import LOOPS
-from koordgen.source import Source, Span
 
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 NAMES = ("Geofence", "assume Motion", "requires plan")

@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen import fleet
-from koordgen.mesh import BadMesh, read_mesh
-from koordgen.obstacles import MOST_BYTES, MOST_FACES, MOST_OBSTACLES
+from koordgen.fleet import file as fleet
+from koordgen.fleet.mesh import BadMesh, read_mesh
+from koordgen.fleet.obstacles import MOST_BYTES, MOST_FACES, MOST_OBSTACLES
+from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
-from koordgen.source import Source, Span
 from tests.fleet.test_fleet import GOOD, PARAMS, TARGETS, read
 
 WALL = "{lo: [1, -2, 0], hi: [1.2, 2, 1]}"

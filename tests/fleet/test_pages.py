@@ -9,8 +9,8 @@ from typing import get_args
 
 import pytest
 
-from koordgen import fleet
-from koordgen.bundle.budget import most_init
+from koordgen.build.bundle.budget import most_init
+from koordgen.fleet import file as fleet
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net import wire
 

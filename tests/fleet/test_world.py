@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.fleet import Fleet
-from koordgen.obstacles import Obstacle
-from koordgen.world import Wall
+from koordgen.fleet.file import Fleet
+from koordgen.fleet.obstacles import Obstacle
+from koordgen.fleet.world import Wall
 from targets.sim.scenario import Lidar, MarkerList, Sim, Wind, World
 from tests.fleet.test_fleet import GOOD, read
 
@@ -176,7 +176,7 @@ def test_a_start_that_cannot_be_is_told_at_its_place(text: str, robot: str, said
 
 
 def test_a_marker_list_is_one_of_the_program(tmp_path: Any) -> None:
-    from koordgen.pipeline import Rejected, plan_file
+    from koordgen.build.pipeline import Rejected, plan_file
 
     app = tmp_path / "app.koord"
     app.write_text(

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from koordgen.yaml_mistakes import mistake
+from koordgen.fleet.yaml_mistakes import mistake
 
 TEXTS = [
     ("robots:\n  - name: a\n    x: 1\n - name: b\n", 4, 2, "column 2, the one above it, in line 2, at 3", "by 2 sp"),

@@ -12,9 +12,9 @@ from types import SimpleNamespace
 import pytest
 
 from koordgen.cli import main
-from koordgen.diagnostics import Diagnostic, Edit, to_json
-from koordgen.sarif import to_sarif
-from koordgen.source import Source, Span
+from koordgen.cli.base.sarif import to_sarif
+from koordgen.lang.diagnostics import Diagnostic, Edit, to_json
+from koordgen.lang.source import Source, Span
 
 UGLY = "param int a=1\nGo:\n   pre: a==1  \n   eff: pass"
 NEAT = "param int a = 1\n\nGo:\n  pre: a == 1\n  eff: pass\n"

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.diagnostics import InternalError
-from koordgen.format import formatted, same
-from koordgen.format.arrange import arranged
-from koordgen.format.rows import rows
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.format import formatted, same
+from koordgen.lang.format.arrange import arranged
+from koordgen.lang.format.rows import rows
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 ROOT = Path(__file__).parents[2]
 _BLOCK = re.compile(r"^```koord(?: prelude)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -27,7 +27,7 @@ def programs() -> dict[str, str]:
         for folder in ("examples", "tests")
         for path in (ROOT / folder).rglob("*.koord")
     }
-    pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("tests/lang/*.md"), *ROOT.glob("koordgen/explain/*.md")]
+    pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("tests/lang/*.md"), *ROOT.glob("koordgen/lang/explain/*.md")]
     for page in pages:
         text = page.read_text(encoding="utf-8")
         for block in _BLOCK.finditer(text):
@@ -155,6 +155,6 @@ def _broken(code: str, rng: random.Random) -> str:
 def test_a_formatter_that_changes_the_meaning_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     source = Source("a.koord", "param int a = 1 + 2\n")
     for wrong in ("param int a = 1 + 3\n", "param int b = 1 + 2\n", "param int a = 1 +\n", ""):
-        monkeypatch.setattr("koordgen.format.arranged", lambda text, wrong=wrong: wrong)
+        monkeypatch.setattr("koordgen.lang.format.arranged", lambda text, wrong=wrong: wrong)
         with pytest.raises(InternalError, match=r"a\.koord"):
             formatted(source, tree(source.text))

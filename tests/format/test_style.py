@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.format.arrange import arranged
+from koordgen.lang.format.arrange import arranged
 
 SPACING = {
     "a=b+c": "a = b + c",

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.check import check
 from koordgen.cli import main
-from koordgen.diagnostics import Diagnostic, Edit, InternalError
-from koordgen.format.edits import applied, compatible
-from koordgen.format.upgrade import Checker, upgraded
-from koordgen.source import Source, Span
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import Diagnostic, Edit, InternalError
+from koordgen.lang.format.edits import applied, compatible
+from koordgen.lang.format.upgrade import Checker, upgraded
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
 
 TEXT = "one two\nthree\n\nfour"
 

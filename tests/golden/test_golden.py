@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import fleet, manifest, resources
-from koordgen.bundle.plan import Files, plan, read_ingredients
-from koordgen.pipeline import check_file
-from koordgen.source import Source
+from koordgen.fleet import file as fleet
+from koordgen.fleet import manifest
+from koordgen.lang import resources
+from koordgen.build.bundle.plan import Files, plan, read_ingredients
+from koordgen.build.pipeline import check_file
+from koordgen.lang.source import Source
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -11,17 +11,17 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-import koordgen.ir
-from koordgen.check import check
-from koordgen.emit.program import interface_hash, program_hash
-from koordgen.ir import decl, expr, stmt
-from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES, Signature
-from koordgen.ir.encoding import HEADER, LAYOUTS, VERSION, WORDS, encode
-from koordgen.ir.types import FLOAT, INT, STRING, MapOf, Sequence, Sized, list_of
-from koordgen.node import Node, nodes, replace
-from koordgen.pipeline import check_file
-from koordgen.source import Source, Span
-from koordgen.syntax.parse import parse
+import koordgen.lang.ir
+from koordgen.build.emit.program import interface_hash, program_hash
+from koordgen.build.pipeline import check_file
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES, Signature
+from koordgen.lang.ir.encoding import HEADER, LAYOUTS, VERSION, WORDS, encode
+from koordgen.lang.ir.types import FLOAT, INT, STRING, MapOf, Sequence, Sized, list_of
+from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
 from tests.agree.faults import rewritten
 from tests.agree.formulas import with_formulas
 from tests.check.sound import TEXT
@@ -59,8 +59,8 @@ def compiled(text: str) -> decl.Program:
 
 
 def ir_classes() -> set[type[Node]]:
-    """The node classes of koordgen.ir, but for the builtins' own table."""
-    names = [m.name for m in pkgutil.iter_modules(koordgen.ir.__path__, "koordgen.ir.")]
+    """The node classes of koordgen.lang.ir, but for the builtins' own table."""
+    names = [m.name for m in pkgutil.iter_modules(koordgen.lang.ir.__path__, "koordgen.lang.ir.")]
     found = [c for name in names for c in vars(importlib.import_module(name)).values() if isinstance(c, type)]
     return {c for c in found if issubclass(c, Node) and c.__module__ in names} - {Signature}
 
@@ -256,7 +256,7 @@ def test_the_program_hash_covers_the_functions_file_and_the_version(monkeypatch:
     program = compiled(BASE)
     before = program_hash(program), interface_hash(program)
     assert program_hash(program, b"def weigh(): ...") != before[0]
-    monkeypatch.setattr("koordgen.ir.encoding.VERSION", VERSION + 1)
+    monkeypatch.setattr("koordgen.lang.ir.encoding.VERSION", VERSION + 1)
     after = program_hash(program), interface_hash(program)
     assert after[0] != before[0] and after[1] != before[1]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.diagnostics import Diagnostic
+from koordgen.lang.diagnostics import Diagnostic
 from tests.lang.test_lang import found
 
 PROGRAM = """\

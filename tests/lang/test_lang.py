@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import pytest
 
-from koordgen.check import check
-from koordgen.diagnostics import CATALOGUE, Diagnostic, together
-from koordgen.ir.printer import show
-from koordgen.ir.verify import verify
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
+from koordgen.lang.ir.printer import show
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 HERE = Path(__file__).parent
 _BLOCK = re.compile(r"^```koord( prelude)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from koordgen.deployment import Login
+from koordgen.fleet.deployment import Login
 from koordgen.operate.hosts import Answer, Host, HostError, Session, Sessions
 
 

@@ -33,8 +33,8 @@ from uuid import UUID
 from benchmarks.fixtures.deployed import Deployed, place, state
 from benchmarks.fixtures.ssh_hosts import SshFleet, SshHost
 from koordgen import cli
-from koordgen.bundle.write import SUMS, sums
-from koordgen.cli import building
+from koordgen.build.bundle.write import SUMS, sums
+from koordgen.cli.base import building
 from koordgen.operate.deploy import Phases
 from tests.operate.fake_host import MAIN
 from tests.runtime.transports import free_ports

@@ -22,9 +22,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY
 from koordgen.cli import main
-from koordgen.estop import find_fleet
 from koordgen.operate.dashboard import EVERY, WITHIN, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access, read_token
+from koordgen.operate.estop import find_fleet
 from targets.sim.view.dashboard import TICK, Dashboard, FleetServer, first_header
 from targets.sim.view.fleet_rows import FRESH
 from targets.sim.view.stream import FoxgloveServer

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place, state
-from koordgen.cli import building
+from koordgen.cli.base import building
 from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import Answer, Session, sessions

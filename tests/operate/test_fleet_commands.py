@@ -12,8 +12,8 @@ import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place
 from koordgen import cli
-from koordgen.bundle.write import SUMS, sums
-from koordgen.cli import building
+from koordgen.build.bundle.write import SUMS, sums
+from koordgen.cli.base import building
 from tests.operate.test_run_folder import PROGRAM, flight
 from tests.replay.kept import Kept
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from koordgen import cli
-from koordgen.resources import examples
+from koordgen.lang.resources import examples
 from tests.operate.fake_host import FakeHost, FakeRelease, digest, refused, send, wait
 from tests.runtime.transports import free_ports
 

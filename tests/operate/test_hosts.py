@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.ssh_hosts import SshFleet, make_key, ssh_fleet
-from koordgen.node import replace
+from koordgen.lang.node import replace
 from koordgen.operate import hosts
 from koordgen.operate.hosts import Host, HostError, Options, Sessions, sessions
 

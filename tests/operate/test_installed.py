@@ -6,7 +6,7 @@ import asyncio
 import json
 from typing import Any
 
-from koordgen.estop import Place
+from koordgen.operate.estop import Place
 from koordgen.operate.installed import Installed, installed
 from koordgen.operate.status import Asked, odd_releases, table, to_json, with_hosts
 from tests.operate.fakes import FakeSession, reached, unreachable

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from koordgen import cli
-from koordgen.basestation import all_targets
-from koordgen.check.params import with_params
-from koordgen.fleet import Fleet
-from koordgen.ir.decl import Program
+from koordgen.build.pipeline import check_file, read_fleet
+from koordgen.fleet.file import Fleet
+from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.ir.decl import Program
+from koordgen.operate.basestation import all_targets
 from koordgen.operate.run_folder import flown, write_trace
-from koordgen.pipeline import check_file, read_fleet
-from koordgen.replay.trace import BadTrace
 from koordgen.runtime.net.network import Conditions
+from koordgen.verify.replay.trace import BadTrace
 from tests.replay.kept import Kept
 from tests.replay.runs import Run
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place
-from koordgen.cli import building
+from koordgen.cli.base import building
 from koordgen.operate.wheels import CannotFetch, WheelPlatform, needed_lines, platform_of, platform_tags, wheel_set
 
 PI = WheelPlatform("aarch64", 36, 11)

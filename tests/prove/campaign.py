@@ -20,7 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from koordgen.prove.solve import Both, Limits, solver_of
+from koordgen.verify.prove.smt.solve import Both, Limits, solver_of
 from tests.prove.randomly.constructs import constructs
 from tests.prove.randomly.judges import Effort, Judged, judged
 from tests.prove.randomly.programs import Made, checked, program

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from koordgen.prove import begin, generate, goal, loops, priority, verdict, within
-from koordgen.prove import term as t
-from koordgen.prove.encode import expr, fold, function, geometry, lists, loop, quantifier, room, state, stmt
-from koordgen.prove.moment import Setting, Stage
+from koordgen.verify.prove.encode import expr, fold, function, geometry, lists, loop, quantifier, room, state, stmt
+from koordgen.verify.prove.obligations import begin, generate, goal, loops, priority, within
+from koordgen.verify.prove.obligations.moment import Setting, Stage
+from koordgen.verify.prove.report import verdict
+from koordgen.verify.prove.smt import term as t
 
 Frame, Turns = stmt.Frame, stmt._Turns
 UNSOUND, WEAKER = True, False

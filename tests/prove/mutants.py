@@ -19,13 +19,13 @@ from types import FunctionType
 from typing import Any, NamedTuple, TextIO
 from unittest.mock import patch
 
-from koordgen.explore.environment import Lacking
-from koordgen.ir.decl import Program
-from koordgen.prove import verdict
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, prove
-from koordgen.replay.functions import CannotCall
+from koordgen.lang.ir.decl import Program
 from koordgen.verify.attack.attack import attack
+from koordgen.verify.explore.environment import Lacking
+from koordgen.verify.prove.report import verdict
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver
+from koordgen.verify.replay.functions import CannotCall
 from tests.prove.mutant_catalogue import MUTANTS, Mutant
 from tests.prove.mutant_programs import PROGRAMS, VERDICTS
 from tests.prove.randomly.judges import Effort, Overtime, _within, explored, ran

@@ -5,9 +5,21 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from koordgen.ir.types import INT as KOORD_INT
-from koordgen.prove.obligation import Cell, Fact, Obligation
-from koordgen.prove.term import INT, REAL, Function, Term, add, apply, constant, integer, less, multiply, real
+from koordgen.lang.ir.types import INT as KOORD_INT
+from koordgen.verify.prove.smt.obligation import Cell, Fact, Obligation
+from koordgen.verify.prove.smt.term import (
+    INT,
+    REAL,
+    Function,
+    Term,
+    add,
+    apply,
+    constant,
+    integer,
+    less,
+    multiply,
+    real,
+)
 
 ROBOT = constant("i", INT)
 X = Function("Motion.position.x", (INT,), REAL)

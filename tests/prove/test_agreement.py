@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.prove.explain import invariant_of
-from koordgen.prove.generate import obligations, rooms
-from koordgen.prove.model import allowed, failing, made_state
-from koordgen.prove.reach import Run
-from koordgen.prove.solve import Both, Limits, Solver
-from koordgen.prove.verdict import Question, prove
-from koordgen.semantics.exact import exact
-from koordgen.semantics.relations import choices
-from koordgen.semantics.state import State
-from koordgen.semantics.step import applied, initial, run_init
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.exact import exact
+from koordgen.lang.semantics.relations import choices
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import applied, initial, run_init
+from koordgen.verify.prove.obligations.generate import obligations, rooms
+from koordgen.verify.prove.report.explain import invariant_of
+from koordgen.verify.prove.report.model import allowed, failing, made_state
+from koordgen.verify.prove.report.reach import Run
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Both, Limits, Solver
 from tests.explore.random_programs import program
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*/*.koord"))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.prove.solve import Limits, Solver
+from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.prove.battery import BATTERY
 from tests.prove.told import checked, told
 

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.prove.process import allowed
-from koordgen.prove.solve import Limits, solver_of
 from koordgen.verify.attack.attack import attack
+from koordgen.verify.prove.smt.process import allowed
+from koordgen.verify.prove.smt.solve import Limits, solver_of
 from tests.prove.programs import CONTRADICTION, COUNTER, CUBES, LINE, SECRET, STRONG
 from tests.verify.faults import ticks
 
@@ -163,7 +163,7 @@ def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     """A solver z3 of our own."""
     (folder / "z3").write_text(text)
     (folder / "z3").chmod(0o755)
-    monkeypatch.setattr("koordgen.prove.solve.GRACE", 0.05)
+    monkeypatch.setattr("koordgen.verify.prove.smt.solve.GRACE", 0.05)
     monkeypatch.setattr(sys, "executable", str(folder / "python"))
 
 
@@ -211,7 +211,7 @@ def test_a_solver_that_is_gone_before_it_is_asked_proves_nothing(
 def test_a_solver_without_memory_proves_nothing(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("koordgen.prove.solve.Limits", lambda **given: Limits(memory=4, **given))
+    monkeypatch.setattr("koordgen.verify.prove.smt.solve.Limits", lambda **given: Limits(memory=4, **given))
     assert main(["prove", written(STRONG)]) == 4
     said = " ".join(capsys.readouterr().out.split())
     assert "PROVED" not in said and "limited to 4 MB" in said
@@ -288,7 +288,7 @@ def test_a_file_is_readable(folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["z3", "cvc5"])
 def test_every_file_gets_the_answer_that_it_expects(folder: Path, name: str) -> None:
-    from koordgen.prove.solve import command_of
+    from koordgen.verify.prove.smt.solve import command_of
 
     files = emitted(folder, STRONG)
     assert len(files) >= 6

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.prove.count import expected
-from koordgen.prove.generate import obligations
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.prove.obligations.count import expected
+from koordgen.verify.prove.obligations.generate import obligations
 from tests.prove.battery import BATTERY
 from tests.prove.randomly.programs import program as random_program
 from tests.prove.told import checked

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.pipeline import check_file
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, prove
+from koordgen.build.pipeline import check_file
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver
 
 ROOT = Path(__file__).parents[2]
 PROVED = {

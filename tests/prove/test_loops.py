@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import pytest
 
-from koordgen.pipeline import check_file
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, Verdict, prove
+from koordgen.build.pipeline import check_file
+from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver
 
 
 @pytest.fixture(scope="module")

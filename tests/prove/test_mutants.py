@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.prove.solve import Solver
+from koordgen.verify.prove.smt.solve import Solver
 from tests.prove.mutant_catalogue import MUTANTS
 from tests.prove.mutants import LIMITS, caught, fixed, planted
 

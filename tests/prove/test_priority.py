@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.node import replace
-from koordgen.pipeline import check_file
-from koordgen.prove.explain import invariant_of
-from koordgen.prove.generate import obligations
-from koordgen.prove.reach import Bounds, run_to
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, Verdict, prove
-from koordgen.semantics.exact import exact
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.node import replace
+from koordgen.lang.semantics.exact import exact
+from koordgen.verify.prove.obligations.generate import obligations
+from koordgen.verify.prove.report.explain import invariant_of
+from koordgen.verify.prove.report.reach import Bounds, run_to
+from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.prove.randomly.judges import Effort, explored
 from tests.prove.test_agreement import checked, made_again
 from tests.semantics.priorities import in_one_block, ranked
@@ -128,8 +128,8 @@ def test_a_transaction_may_see_an_earlier_guard_hold(tmp_path: Path, solver: Sol
 
 def test_a_step_that_breaks_the_order_is_not_shown(tmp_path: Path, solver: Solver) -> None:
     """The obligations of the program without its block have models that the program with it does not."""
-    from koordgen.prove.model import replayed
-    from koordgen.prove.reading import Reader, Unshowable
+    from koordgen.verify.prove.report.model import replayed
+    from koordgen.verify.prove.report.reading import Reader, Unshowable
 
     free = checked(tmp_path, HOT)
     ordered = checked(tmp_path, in_one_block(HOT))

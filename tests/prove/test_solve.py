@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.diagnostics import InternalError
-from koordgen.node import replace
-from koordgen.prove import solve
-from koordgen.prove.obligation import Fact, Obligation
-from koordgen.prove.sexpr import Unreadable, read, value, values
-from koordgen.prove.solve import Both, Limits, Solver, SolverMissing, solver_of
-from koordgen.prove.term import INT, all_of, constant, less, real
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.node import replace
+from koordgen.verify.prove.smt import solve
+from koordgen.verify.prove.smt.obligation import Fact, Obligation
+from koordgen.verify.prove.smt.sexpr import Unreadable, read, value, values
+from koordgen.verify.prove.smt.solve import Both, Limits, Solver, SolverMissing, solver_of
+from koordgen.verify.prove.smt.term import INT, all_of, constant, less, real
 from tests.prove.terms import ROBOT, contradictory, false_one, hard, true_one, x
 
 QUICK = Limits(query=0.2, total=5.0, memory=512)

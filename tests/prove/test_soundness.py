@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.pipeline import check_file
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.verdict import Question, prove
+from koordgen.build.pipeline import check_file
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver
 
 # what was wrong -> (the program, the property that a run breaks)
 BROKEN: dict[str, tuple[str, str]] = {

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.node import replace
-from koordgen.pipeline import check_file
-from koordgen.prove.generate import obligations
-from koordgen.prove.obligation import Fact
-from koordgen.prove.solve import Limits, Solver
-from koordgen.prove.term import all_of
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.node import replace
+from koordgen.verify.prove.obligations.generate import obligations
+from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.solve import Limits, Solver
+from koordgen.verify.prove.smt.term import all_of
 from tests.prove.told import checked, told
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

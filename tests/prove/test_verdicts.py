@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.prove.doubt import doubt
-from koordgen.prove.explain import invariant_of
-from koordgen.prove.generate import obligations
-from koordgen.prove.model import failing, true, with_values
-from koordgen.prove.show import suggestion
-from koordgen.prove.solve import Answer, Limits, Solver
-from koordgen.prove.verdict import Question, Verdict, prove
-from koordgen.semantics.exact import exact
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.exact import exact
+from koordgen.verify.prove.obligations.generate import obligations
+from koordgen.verify.prove.report.doubt import doubt
+from koordgen.verify.prove.report.explain import invariant_of
+from koordgen.verify.prove.report.model import failing, true, with_values
+from koordgen.verify.prove.report.show import suggestion
+from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.smt.solve import Answer, Limits, Solver
 from tests.prove.programs import CONTRADICTION, COUNTER, CUBES, DIVIDES, LINE, STRONG, TOKEN
 
 
@@ -326,7 +326,7 @@ def test_of_another_robot_it_is_told_what_its_plain_event_wrote(
 
 
 def test_the_ledger_tells_lemmas_from_approximations() -> None:
-    from koordgen.prove.ledger import COMPARED, HARMLESS, Ledger
+    from koordgen.verify.prove.report.ledger import COMPARED, HARMLESS, Ledger
 
     program = check_file(str(Path(__file__).parents[2] / "examples/task/task.koord")).program
     entries = Ledger(program).of(obligations(program))

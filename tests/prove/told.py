@@ -6,12 +6,12 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from koordgen.ir.decl import Program
-from koordgen.node import replace
-from koordgen.pipeline import check_file
-from koordgen.prove import generate
-from koordgen.prove.obligation import Obligation
-from koordgen.prove.solve import Solver
+from koordgen.build.pipeline import check_file
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.node import replace
+from koordgen.verify.prove.obligations import generate
+from koordgen.verify.prove.smt.obligation import Obligation
+from koordgen.verify.prove.smt.solve import Solver
 
 
 @cache

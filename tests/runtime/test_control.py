@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.fleet import KEY, settings
-from koordgen.estop import Stopping
+from koordgen.operate.estop import Stopping
 from koordgen.runtime.config.settings import Peer, Settings
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.seal import CONTROL, MEMORY, seal

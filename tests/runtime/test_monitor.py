@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import settings
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
 from koordgen.runtime.monitor.allowance import Allowance
 from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, Monitors
 from koordgen.runtime.program.extern import Contract

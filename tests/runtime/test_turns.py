@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.emit.program import program_text
+from koordgen.build.emit.program import program_text
 from koordgen.runtime.program.program import Fault, Frame, Program, enabled, no_ports, run
 from koordgen.runtime.program.runner import Interrupting, Overrun
 from koordgen.runtime.values import turns

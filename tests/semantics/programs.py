@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from koordgen.check import check
-from koordgen.ir.decl import Program
-from koordgen.ir.verify import verify
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.state import NOTHING, State, World
-from koordgen.semantics.step import Step, initial, round_, run_init
-from koordgen.semantics.values import Value
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.state import NOTHING, State, World
+from koordgen.lang.semantics.step import Step, initial, round_, run_init
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 
 
 def compiled(text: str) -> Program:

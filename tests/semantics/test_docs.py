@@ -9,7 +9,7 @@ from pathlib import Path
 
 WHOLE = (Path(__file__).parents[2] / "docs/semantics.md").read_text(encoding="utf-8")
 PAGE, CONDITIONS = WHOLE.split("## Verification conditions")
-PROVER = sorted((Path(__file__).parents[2] / "koordgen/prove").rglob("*.py"))
+PROVER = sorted((Path(__file__).parents[2] / "koordgen/verify/prove").rglob("*.py"))
 RULES = (
     "SELECTEVENT",
     "SKIPEVENT",
@@ -28,7 +28,7 @@ def test_every_function_it_names_exists() -> None:
     named = re.findall(r"`([\w.]+)` in\s+`(\w+)\.py`", PAGE)
     assert len(named) > 30
     for path, module in named:
-        thing: object = import_module(f"koordgen.semantics.{module}")
+        thing: object = import_module(f"koordgen.lang.semantics.{module}")
         for name in path.split("."):
             thing = getattr(thing, name)
         assert (callable(thing) and thing.__doc__) or path in (

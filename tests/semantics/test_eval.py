@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import get_args
 
-from koordgen.ir import expr
-from koordgen.semantics.eval import MEANINGS
+from koordgen.lang.ir import expr
+from koordgen.lang.semantics.eval import MEANINGS
 
 
 def test_every_expression_means_something() -> None:

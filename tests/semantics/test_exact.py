@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from koordgen.prove.model import made_state
+from koordgen.lang.semantics.exact import NotExact, Root, distance, exact, made_exact, path_distance, root
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.step import execute, initial
 from koordgen.runtime.values import geometry
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.exact import NotExact, Root, distance, exact, made_exact, path_distance, root
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.step import execute, initial
+from koordgen.verify.prove.report.model import made_state
 from tests.semantics.programs import compiled
 
 

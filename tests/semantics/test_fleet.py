@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.ir import decl, expr
-from koordgen.ir.decl import Program
-from koordgen.ir.types import BOOL, POINT, list_of
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.types import BOOL, POINT, list_of
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import NoMeaning, Writes
+from koordgen.lang.semantics.property import Asked, holds_assumption, holds_property
+from koordgen.lang.semantics.relations import choices, end, post, reach, rounds
+from koordgen.lang.semantics.state import State, World, nobody
+from koordgen.lang.semantics.step import applied, initial, round_, run_init
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import NoMeaning, Writes
-from koordgen.semantics.property import Asked, holds_assumption, holds_property
-from koordgen.semantics.relations import choices, end, post, reach, rounds
-from koordgen.semantics.state import State, World, nobody
-from koordgen.semantics.step import applied, initial, round_, run_init
-from koordgen.semantics.values import Value
-from koordgen.source import Span
 from tests.semantics.programs import compiled
 
 ATOMIC = """

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.diagnostics import InternalError
-from koordgen.ir import decl, expr, stmt
-from koordgen.ir.types import INT, list_of
-from koordgen.node import replace
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.types import INT, list_of
+from koordgen.lang.node import replace
+from koordgen.lang.semantics import exec
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.state import State, World, nobody
+from koordgen.lang.semantics.step import initial, round_
+from koordgen.lang.semantics.values import RecordValue, Value, default
+from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Grid, Point
-from koordgen.semantics import exec
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.state import State, World, nobody
-from koordgen.semantics.step import initial, round_
-from koordgen.semantics.values import RecordValue, Value, default
-from koordgen.source import Span
 from tests.semantics.programs import after, compiled, event, local
 
 HEAD = """

@@ -6,14 +6,14 @@ from fractions import Fraction
 
 import pytest
 
+from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exact import NotExact, exact
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.numbers import arithmetic
+from koordgen.lang.semantics.property import holds_property
+from koordgen.lang.semantics.step import enabled, execute, initial
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.deadline import Deadline, OutOfTime, ends
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exact import NotExact, exact
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.numbers import arithmetic
-from koordgen.semantics.property import holds_property
-from koordgen.semantics.step import enabled, execute, initial
 from tests.semantics.programs import compiled
 
 

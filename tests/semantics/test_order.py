@@ -6,10 +6,10 @@ from itertools import product
 
 import pytest
 
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.relations import choices, post, rounds
-from koordgen.semantics.state import State
-from koordgen.semantics.step import initial, round_, run_init
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.relations import choices, post, rounds
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import initial, round_, run_init
 from tests.explore.random_programs import LEVELS
 from tests.semantics.priorities import ranked
 from tests.semantics.programs import compiled
@@ -106,7 +106,7 @@ def test_random_blocks_take_choices_away() -> None:
 
 
 def program_without_blocks(text: str):  # type: ignore[no-untyped-def]
-    from koordgen.node import replace
+    from koordgen.lang.node import replace
 
     program = compiled(text)
     return replace(program, events=tuple(replace(event, priority=None) for event in program.events))

@@ -10,24 +10,24 @@ from random import Random
 
 import pytest
 
-from koordgen.check import check
-from koordgen.ir import decl, expr
-from koordgen.semantics import exec
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import NoMeaning, Writes
-from koordgen.semantics.property import holds_property
-from koordgen.semantics.state import Robot, State, Store, World
-from koordgen.semantics.step import Step, enabled, execute, has_priority, initial, round_, run_init
-from koordgen.semantics.values import Value
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.semantics import exec
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import NoMeaning, Writes
+from koordgen.lang.semantics.property import holds_property
+from koordgen.lang.semantics.state import Robot, State, Store, World
+from koordgen.lang.semantics.step import Step, enabled, execute, has_priority, initial, round_, run_init
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.agree.both import answer, key, outside
 from tests.agree.kinds import random_value
 from tests.agree.programs import nodes
 from tests.lang.test_lang import CASES
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "docs/language.md", *sorted((ROOT / "koordgen/explain").glob("*.md"))]
+PAGES = [ROOT / "docs/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
 
 
 def texts() -> Iterator[tuple[str, str]]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import Step, initial, round_, run_init, sense
+from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.state import State
-from koordgen.semantics.step import Step, initial, round_, run_init, sense
-from koordgen.semantics.values import Value
 from tests.semantics.programs import compiled, event
 
 HEAD = """

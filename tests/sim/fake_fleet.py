@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from koordgen.emit.program import program_text
-from koordgen.emit.property import properties_text
+from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
 from targets.sim import harness, stage
 from targets.sim.bodies import DeviceContext
 from tests.emit.generated import checked

@@ -58,8 +58,8 @@ def follow(
     more: Sequence[str] = (),
 ) -> Followed:  # fmt: skip
     """As `koordgen sim --follow` does it, but in this process; `change` is done to the plan before."""
-    from koordgen.cli import building, console
-    from koordgen.cli.follow import following
+    from koordgen.cli.base import building, console
+    from koordgen.cli.experiment.follow import following
 
     options = parsed(["sim", str(app), "--fleet", str(fleet), "--follow", str(trace), *more])
     try:

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from koordgen.build.emit.program import program_hash
+from koordgen.build.pipeline import check_file
 from koordgen.cli import main
-from koordgen.emit.program import program_hash
-from koordgen.follow.exact import agree
-from koordgen.pipeline import check_file
-from koordgen.prove.trace import About, run_trace
+from koordgen.verify.follow.exact import agree
+from koordgen.verify.prove.report.trace import About, run_trace
 from tests.explore.mutants import MUTANTS as ALL
 from tests.explore.mutants import Mutant
 from tests.explore.random_programs import program as random_text

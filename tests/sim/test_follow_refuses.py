@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
+from koordgen.build.pipeline import check_file
 from koordgen.cli import main
-from koordgen.follow.plan import CannotFollow, planned
-from koordgen.follow.read import read
-from koordgen.ir.decl import Program
-from koordgen.pipeline import check_file
-from koordgen.replay.trace import BadTrace
+from koordgen.lang.ir.decl import Program
+from koordgen.verify.follow.plan import CannotFollow, planned
+from koordgen.verify.follow.read import read
+from koordgen.verify.replay.trace import BadTrace
 from tests.explore.test_search import LOST
 from tests.sim.following import fleet, follow
 from tests.sim.test_follow import GRID, MOVED, found

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from koordgen.diagnostics import Diagnostic, render, together
-from koordgen.node import Node
-from koordgen.source import Source
-from koordgen.syntax.decl import Program
-from koordgen.syntax.parse import parse
+from koordgen.lang.diagnostics import Diagnostic, render, together
+from koordgen.lang.node import Node
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.decl import Program
+from koordgen.lang.syntax.parse import parse
 
 ROOT = Path(__file__).parents[2]
 SLOWEST = 20.0  # seconds for one text, on a machine that is busy with other things; hanging takes longer
@@ -163,9 +163,9 @@ def feed(text: str) -> str:
 
 
 def built(tree: Program, source: Source, found: list[Diagnostic]) -> str:
-    from koordgen.check import check
-    from koordgen.emit.program import program_text
-    from koordgen.ir.verify import verify
+    from koordgen.build.emit.program import program_text
+    from koordgen.lang.check.sections.program import check
+    from koordgen.lang.ir.verify import verify
 
     program, more = check(tree, source)
     told = together(found, more)  # in a line that could not be read the checker's word is an echo
@@ -224,7 +224,7 @@ def test_no_mutation_of_200000_raises_or_hangs(part: int) -> None:
     ],
 )
 def test_a_file_that_is_no_utf_8_is_told(raw: bytes, tmp_path: Path) -> None:
-    from koordgen.pipeline import Rejected, read_source
+    from koordgen.build.pipeline import Rejected, read_source
 
     path = tmp_path / "a.koord"
     path.write_bytes(raw)
@@ -235,7 +235,7 @@ def test_a_file_that_is_no_utf_8_is_told(raw: bytes, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", corpus()[:8])
 def test_a_byte_order_mark_and_windows_line_ends_change_nothing(text: str, tmp_path: Path) -> None:
-    from koordgen.pipeline import read_source
+    from koordgen.build.pipeline import read_source
 
     path = tmp_path / "a.koord"
     path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())

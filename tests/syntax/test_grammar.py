@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from koordgen.node import Node
-from koordgen.source import Source, Span
-from koordgen.syntax.generate import GRAMMAR
-from koordgen.syntax.parse import parse
-from koordgen.syntax.printer import show
+from koordgen.lang.node import Node
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.generate import GRAMMAR
+from koordgen.lang.syntax.parse import parse
+from koordgen.lang.syntax.printer import show
 
 
 def outline(node: Any) -> str:

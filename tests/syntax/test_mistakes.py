@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from koordgen.diagnostics import Diagnostic, render
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.diagnostics import Diagnostic, render
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.lang.test_lang import found
 
 EVENT = "E:\n  pre: b\n  eff:\n    {}\n"

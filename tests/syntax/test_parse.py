@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.check import check
-from koordgen.diagnostics import render, to_json
-from koordgen.ir.printer import show
-from koordgen.ir.verify import verify
-from koordgen.source import Source, Span
-from koordgen.syntax import expr
-from koordgen.syntax.decl import Event, Guard
-from koordgen.syntax.generate import TABLES, tables
-from koordgen.syntax.parse import parse
-from koordgen.syntax.printer import show as show_tree
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import render, to_json
+from koordgen.lang.ir.printer import show
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax import expr
+from koordgen.lang.syntax.decl import Event, Guard
+from koordgen.lang.syntax.generate import TABLES, tables
+from koordgen.lang.syntax.parse import parse
+from koordgen.lang.syntax.printer import show as show_tree
 
 ROOT = Path(__file__).parents[2]
 LINEFORM = (ROOT / "examples/lineform/lineform.koord").read_text(encoding="utf-8")
@@ -205,7 +205,7 @@ def test_tables_do_not_depend_on_the_hash_seed() -> None:
     text = tables()
     assert TABLES.read_text(encoding="utf-8") == text
     for seed in ("1", "77"):
-        code = "import sys; from koordgen.syntax.generate import tables; sys.stdout.write(tables())"
+        code = "import sys; from koordgen.lang.syntax.generate import tables; sys.stdout.write(tables())"
         environment = {**os.environ, "PYTHONHASHSEED": seed}
         done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, check=True)
         assert done.stdout.decode() == text
@@ -213,8 +213,8 @@ def test_tables_do_not_depend_on_the_hash_seed() -> None:
 
 def test_checking_needs_neither_the_grammar_nor_heavy_imports() -> None:
     code = (
-        "import sys\nfrom koordgen.source import Source\nfrom koordgen.syntax.parse import parse\n"
-        "from koordgen.check import check\nsource = Source('t', open(sys.argv[1]).read())\n"
+        "import sys\nfrom koordgen.lang.source import Source\nfrom koordgen.lang.syntax.parse import parse\n"
+        "from koordgen.lang.check.sections.program import check\nsource = Source('t', open(sys.argv[1]).read())\n"
         "assert check(parse(source)[0], source)[0]\n"
         "print(sorted({'lark', 'dataclasses', 'inspect', 'json', 'pathlib', 'difflib', 'jinja2'} & set(sys.modules)))"
     )

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.diagnostics import Diagnostic
-from koordgen.source import Source
-from koordgen.syntax import decl, expr, stmt
-from koordgen.syntax.layout import sections
-from koordgen.syntax.lr import DEEPEST_TREE
-from koordgen.syntax.parse import parse
-from koordgen.syntax.recover import MOST_FAULTS
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.source import Source
+from koordgen.lang.syntax import decl, expr, stmt
+from koordgen.lang.syntax.layout import sections
+from koordgen.lang.syntax.lr import DEEPEST_TREE
+from koordgen.lang.syntax.parse import parse
+from koordgen.lang.syntax.recover import MOST_FAULTS
 from tests.syntax.test_fuzz import is_broken, lies_in
 
 ROOT = Path(__file__).parents[2]

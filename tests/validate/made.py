@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from koordgen.validate.samples import FILE, FORMAT, Sample, read
+from koordgen.experiment.validate.samples import FILE, FORMAT, Sample, read
 
 PLATFORMS = ("quad full", "car full")
 

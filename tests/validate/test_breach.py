@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.validate.breach import Breach, Row, kind
+from koordgen.experiment.validate.breach import Breach, Row, kind
 
 FAR, NEAR, HERE = (5.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0)
 

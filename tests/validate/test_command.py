@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from koordgen import cli
-from koordgen.campaign import store
-from koordgen.campaign.plan import Plan
-from koordgen.cli import building, console
-from koordgen.cli import campaign as campaigns
-from koordgen.validate import picture
+from koordgen.cli.base import building, console
+from koordgen.cli.experiment import campaign as campaigns
+from koordgen.experiment.campaign import store
+from koordgen.experiment.campaign.plan import Plan
+from koordgen.experiment.validate import picture
 from tests.campaign.fake import full_disk
 from tests.validate import fake
 
@@ -43,7 +43,7 @@ def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
     monkeypatch.setattr(building, "require_packages", lambda: None)
     monkeypatch.setattr(campaigns, "_builder", lambda options, harness: fake.build)
-    monkeypatch.setattr("koordgen.cli.validate.fleet_params", lambda *_: {})
+    monkeypatch.setattr("koordgen.cli.experiment.validate.fleet_params", lambda *_: {})
     monkeypatch.setattr(
         picture, "draw", lambda found, title, path: bool(path.write_bytes(b"")) or True
     )  # it takes long

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from koordgen.validate.picture import draw
+from koordgen.experiment.validate.picture import draw
 from tests.validate.made import sample, window
 
 

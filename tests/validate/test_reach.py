@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from koordgen.campaign.crew import Local
-from koordgen.pipeline import check_file
-from koordgen.validate import draw, probe, reach, tube
-from koordgen.validate.probe import BadProbe, Probe, Samples, Start
+from koordgen.build.pipeline import check_file
+from koordgen.experiment.campaign.crew import Local
+from koordgen.experiment.validate import draw, probe, reach, tube
+from koordgen.experiment.validate.probe import BadProbe, Probe, Samples, Start
 
 FLEET = """
 delta: 0.1

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from koordgen.validate import tube
-from koordgen.validate.statistics import needed
+from koordgen.experiment.validate import tube
+from koordgen.experiment.validate.statistics import needed
 
 Array = NDArray[np.float64]
 EPSILON, GAMMA = 0.05, 0.01

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from koordgen.validate.statistics import clopper_pearson, needed, shown
+from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown
 
 
 @pytest.mark.parametrize(

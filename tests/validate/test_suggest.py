@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.cli.validate import LIMITS
-from koordgen.pipeline import Checked, check_file
-from koordgen.prove.solve import Solver, solver_of
-from koordgen.validate.suggest import about_way, suggestions
+from koordgen.build.pipeline import Checked, check_file
+from koordgen.cli.experiment.validate import LIMITS
+from koordgen.experiment.validate.suggest import about_way, suggestions
+from koordgen.verify.prove.smt.solve import Solver, solver_of
 from tests.validate.made import sample, window
 
 MARGIN = Path(__file__).parents[2] / "examples/lineform/margin.koord"

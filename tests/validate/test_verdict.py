@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.validate.samples import FILE, margin, read
-from koordgen.validate.verdict import Bound, Verdict, verdicts
+from koordgen.experiment.validate.samples import FILE, margin, read
+from koordgen.experiment.validate.verdict import Bound, Verdict, verdicts
 from tests.validate.made import held, sample, text, window
 
 BOUND = Bound(0.05, 0.05)

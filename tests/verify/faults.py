@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from koordgen.ir.decl import Program
+from koordgen.lang.ir.decl import Program
 from koordgen.verify.attack.attack import Report, attack
 from koordgen.verify.attack.judge import WELL_DEFINED
 from tests.prove.told import checked

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.diagnostics import InternalError
-from koordgen.pipeline import check_file
-from koordgen.prove.solve import Limits, Solver
+from koordgen.build.pipeline import check_file
+from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Followed, Judge
+from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.prove.battery import BATTERY
 from tests.prove.told import checked
 from tests.verify.faults import FAULTS, attacked, broken, ticks

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.prove.solve import Answer, Outcome
-from koordgen.prove.verdict import Question, Verdict, prove
 from koordgen.verify.attack.attack import attack
+from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.smt.solve import Answer, Outcome
 from tests.prove.programs import COUNTER, STRONG
 from tests.verify.faults import FAULTS, ticks
 
@@ -47,7 +47,7 @@ def forged(monkeypatch: pytest.MonkeyPatch) -> None:
             said.append(verdict._replace(verdict="PROVED", outcomes=outcomes, explanation=None, rests_on=rests))
         return said
 
-    monkeypatch.setattr("koordgen.prove.verdict.prove", forge)
+    monkeypatch.setattr("koordgen.verify.prove.report.verdict.prove", forge)
 
 
 def written(text: str) -> str:

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from koordgen.ir.decl import Program
-from koordgen.semantics.exact import exact
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.exact import exact
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
 from koordgen.verify.attack.judge import Contradiction, Judge, Refused, Trial, Unusable

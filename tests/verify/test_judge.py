@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from koordgen.prove.model import made_state
-from koordgen.semantics.exact import exact
-from koordgen.semantics.state import State
-from koordgen.semantics.step import initial, run_init
+from koordgen.lang.semantics.exact import exact
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import initial, run_init
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Act, Followed, Judge, Refused, Trial, Unusable
+from koordgen.verify.prove.report.model import made_state
 from tests.prove.told import checked
 from tests.verify.faults import attacked, broken
 

@@ -1,6 +1,6 @@
 """Geometry and GridMaps as programs call them: geometry.py and gridmap.py, for the turns that they cost.
 
-A GridMap counts as one element for CELLS_AN_ELEMENT cells. koordgen/semantics/eval.py counts the same.
+A GridMap counts as one element for CELLS_AN_ELEMENT cells. koordgen/lang/semantics/eval.py counts the same.
 Sensors, planners and simulations call geometry.py and gridmap.py themselves: no event pays for them.
 """
 

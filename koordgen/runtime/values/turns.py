@@ -2,8 +2,8 @@
 
 An event, a guard and a formula each have MOST_TURNS turns. A turn of a loop and a call of a function cost one turn; so
 does every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text, and of one that is gone through. What
-needs more raises TooMuch, which discards the event. koordgen/semantics counts the same; tests/agree compares both at
-the limits. Generated code has no call where a static bound shows that the cost is 0 (koordgen/emit/size.py).
+needs more raises TooMuch, which discards the event. koordgen/lang/semantics counts the same; tests/agree compares both
+at the limits. Generated code has no call where a static bound shows that the cost is 0 (koordgen/build/emit/size.py).
 
 The count is an iterator that one process has, for one event at a time: counting stays in C.
 """

@@ -16,16 +16,16 @@ from itertools import cycle
 from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from koordgen.diagnostics import InternalError
-from koordgen.ir import decl
-from koordgen.ir import expr as ir
-from koordgen.node import Node, nodes, replace
-from koordgen.semantics.deadline import Deadline, OutOfTime, ends
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exact import NotExact, exact
-from koordgen.semantics.state import State
-from koordgen.semantics.step import initial
-from koordgen.semantics.values import Value
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exact import NotExact, exact
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import initial
+from koordgen.lang.semantics.values import Value
 from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
@@ -42,7 +42,7 @@ from koordgen.verify.attack.models import Models
 from koordgen.verify.attack.states import States
 
 if TYPE_CHECKING:
-    from koordgen.prove.solve import Both, Solver
+    from koordgen.verify.prove.smt.solve import Both, Solver
 
 SECONDS = 0.05  # of an attack, where nothing else is asked for
 FLEETS = (1, 2, 3, 4)  # robots

@@ -15,9 +15,9 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from koordgen.ir import decl
-from koordgen.ir.expr import PortCall
-from koordgen.ir.types import (
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.expr import PortCall
+from koordgen.lang.ir.types import (
     FLOAT,
     GRID,
     INT,
@@ -34,13 +34,13 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
-from koordgen.node import nodes
+from koordgen.lang.node import nodes
+from koordgen.lang.semantics.exact import Root, root
+from koordgen.lang.semantics.property import Asked
+from koordgen.lang.semantics.state import Robot, State, Store
+from koordgen.lang.semantics.values import RecordValue, Value, conforms, encodable
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.semantics.exact import Root, root
-from koordgen.semantics.property import Asked
-from koordgen.semantics.state import Robot, State, Store
-from koordgen.semantics.values import RecordValue, Value, conforms, encodable
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
 from koordgen.verify.attack.ports import Answer
 

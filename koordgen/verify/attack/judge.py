@@ -1,7 +1,7 @@
 """Judge of verdicts: runs steps by the executable semantics, and says which PROVED invariant a state contradicts.
 
-What the language allows is asked of `koordgen.semantics` alone: which events may run (`choices`), what they write, how
-sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
+What the language allows is asked of `koordgen.lang.semantics` alone: which events may run (`choices`), what they write,
+how sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
 contradiction; it is not counted as a state that the invariant was attacked with.
 """
 
@@ -11,23 +11,23 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from koordgen.diagnostics import InternalError
-from koordgen.ir import decl, stmt
-from koordgen.ir import expr as ir
-from koordgen.ir.types import BOOL
-from koordgen.node import nodes, replace
-from koordgen.prove.model import allowed
-from koordgen.prove.reading import Unshowable
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exact import NotExact
-from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
-from koordgen.semantics.property import holds_property
-from koordgen.semantics.relations import choices
-from koordgen.semantics.state import State
-from koordgen.semantics.step import Step, applied, enabled, execute, run_init, sense
-from koordgen.semantics.values import Value
-from koordgen.source import Span
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL
+from koordgen.lang.node import nodes, replace
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exact import NotExact
+from koordgen.lang.semantics.exec import UNFINISHED, NoMeaning, Writes
+from koordgen.lang.semantics.property import holds_property
+from koordgen.lang.semantics.relations import choices
+from koordgen.lang.semantics.state import State
+from koordgen.lang.semantics.step import Step, applied, enabled, execute, run_init, sense
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Span
 from koordgen.verify.attack.ports import TURNS, Answer, Draw, Ports
+from koordgen.verify.prove.report.model import allowed
+from koordgen.verify.prove.report.reading import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"

@@ -8,25 +8,25 @@ from __future__ import annotations
 
 from random import Random
 
-from koordgen.ir import decl
-from koordgen.ir import expr as ir
-from koordgen.ir.types import MapOf, RecordType, Sized, TupleOf, Type
-from koordgen.ir.types import Sequence as SequenceType
-from koordgen.node import replace
-from koordgen.prove import term as t
-from koordgen.prove.encode.room import Room
-from koordgen.prove.encode.scope import OfFleet
-from koordgen.prove.encode.state import Free
-from koordgen.prove.encode.values import Val
-from koordgen.prove.model import Reading
-from koordgen.prove.moment import Setting, Stage
-from koordgen.prove.obligation import Fact, Obligation
-from koordgen.prove.reading import Reader, Unshowable
-from koordgen.prove.solve import Both, Solver, SolverMissing
-from koordgen.prove.term import Term
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exact import NotExact
-from koordgen.semantics.state import State
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import MapOf, RecordType, Sized, TupleOf, Type
+from koordgen.lang.ir.types import Sequence as SequenceType
+from koordgen.lang.node import replace
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exact import NotExact
+from koordgen.lang.semantics.state import State
+from koordgen.verify.prove.encode.room import Room
+from koordgen.verify.prove.encode.scope import OfFleet
+from koordgen.verify.prove.encode.state import Free
+from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.obligations.moment import Setting, Stage
+from koordgen.verify.prove.report.model import Reading
+from koordgen.verify.prove.report.reading import Reader, Unshowable
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import Fact, Obligation
+from koordgen.verify.prove.smt.solve import Both, Solver, SolverMissing
+from koordgen.verify.prove.smt.term import Term
 
 QUERY = 2.0  # seconds of one query, at most
 NUDGES = 3  # parts of a state that are asked to be something else, at most

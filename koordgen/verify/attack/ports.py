@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from koordgen.ir import decl
-from koordgen.prove.reading import Unshowable
-from koordgen.prove.served import answered
-from koordgen.semantics.exact import NotExact
-from koordgen.semantics.exec import NoMeaning
-from koordgen.semantics.property import Asked
-from koordgen.semantics.state import NOTHING, State, World
-from koordgen.semantics.values import Value
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.exact import NotExact
+from koordgen.lang.semantics.exec import NoMeaning
+from koordgen.lang.semantics.property import Asked
+from koordgen.lang.semantics.state import NOTHING, State, World
+from koordgen.lang.semantics.values import Value
+from koordgen.verify.prove.report.reading import Unshowable
+from koordgen.verify.prove.report.served import answered
 
 TURNS = 2_000  # of loops of one event: an event that turns more often is given up, and shows nothing
 

@@ -11,20 +11,20 @@ from fractions import Fraction
 from random import Random
 from typing import Any
 
-from koordgen.ir import decl
-from koordgen.ir import expr as ir
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
-from koordgen.ir.types import Sequence as SequenceType
-from koordgen.node import Node
-from koordgen.prove.model import made_state, with_values
-from koordgen.prove.reach import Pools
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
+from koordgen.lang.ir.types import Sequence as SequenceType
+from koordgen.lang.node import Node
+from koordgen.lang.semantics.builtins import map_of, set_of
+from koordgen.lang.semantics.exact import made_exact
+from koordgen.lang.semantics.state import Robot, State, Store
+from koordgen.lang.semantics.step import initial
+from koordgen.lang.semantics.values import RecordValue, Value, default
+from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Point, Pose
-from koordgen.semantics.builtins import map_of, set_of
-from koordgen.semantics.exact import made_exact
-from koordgen.semantics.state import Robot, State, Store
-from koordgen.semantics.step import initial
-from koordgen.semantics.values import RecordValue, Value, default
-from koordgen.source import Span
+from koordgen.verify.prove.report.model import made_state, with_values
+from koordgen.verify.prove.report.reach import Pools
 
 VALUES = 16  # of one type that are drawn from
 VARIED = 3  # variables of a state that are changed together, at most

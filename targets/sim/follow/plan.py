@@ -1,4 +1,4 @@
-"""What a run that follows a counterexample is to do, as koordgen/follow/plan.py writes it."""
+"""What a run that follows a counterexample is to do, as koordgen/verify/follow/plan.py writes it."""
 
 from __future__ import annotations
 

@@ -18,22 +18,22 @@ from random import Random
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking, Surroundings, answering
-from koordgen.explore.machine import Discard, Machine, Own
-from koordgen.explore.search import Bounds, Search
-from koordgen.ir import decl
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
-from koordgen.node import replace
-from koordgen.prove import explain, reach
-from koordgen.prove.solve import Both, Solver
-from koordgen.prove.verdict import WELL_DEFINED, Question, prove
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
+from koordgen.lang.node import replace
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.property import holds_assumption, holds_property
+from koordgen.lang.semantics.state import State, World
+from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.runtime.values.points import Point
-from koordgen.semantics.eval import Discarded
-from koordgen.semantics.exec import Writes
-from koordgen.semantics.property import holds_assumption, holds_property
-from koordgen.semantics.state import State, World
-from koordgen.semantics.step import Step, applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.verify.attack.attack import attack
+from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking, Surroundings, answering
+from koordgen.verify.explore.machine import Discard, Machine, Own
+from koordgen.verify.explore.search import Bounds, Search
+from koordgen.verify.prove.report import explain, reach
+from koordgen.verify.prove.report.verdict import WELL_DEFINED, Question, prove
+from koordgen.verify.prove.smt.solve import Both, Solver
 
 FLEETS = (1, 2, 3)
 LIMITS = ("would become", "would get", "not finished", " failed: ")  # of these `(well-defined)` says nothing

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from random import Random
 from typing import NamedTuple
 
-from koordgen.check import check
-from koordgen.ir.decl import Program
-from koordgen.ir.verify import verify
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.source import Source
+from koordgen.lang.syntax.parse import parse
 from tests.prove.randomly.names import WORDS, Home, Variable, int_variable
 from tests.prove.randomly.statements import Statements, indented
 

@@ -1,0 +1,52 @@
+"""Whether the targets offer the ports that a program uses: told at the `using` line, before anything is built."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator
+
+from koordgen.fleet.manifest import Target
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.ir.decl import Module, Port, Program
+
+
+def check_ports(program: Program, targets: Iterable[Target], driven: Container[str] = ()) -> list[Diagnostic]:
+    """One diagnostic for each module or port that an agent target lacks or offers as something else; modules that are
+    `driven` have drivers, and streams are everyone's."""
+    agents = [t for t in targets if t.kind == "agent"]
+    modules = [m for m in program.modules if m.name not in driven and any(p.direction != "stream" for p in m.ports)]
+    return [d for module in modules for target in agents for d in _module(module, target)]
+
+
+def _module(module: Module, target: Target) -> Iterator[Diagnostic]:
+    if module.name not in target.modules:
+        offered = ", ".join(sorted(target.modules))
+        message = f"target {target.name} offers no module {module.name}"
+        help = f"it offers: {offered}; a driver for another is named under 'modules:' in the fleet file"
+        yield Diagnostic("B001", "error", message, module.span, help=help)
+        return
+    for port in module.ports:
+        if port.direction == "stream":
+            continue
+        yield from _port(module, port, target)
+
+
+_KINDS = {"sensor": "a sensor", "actuator": "an actuator", "callable": "a callable port"}
+
+
+def _port(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
+    name, kind = f"{module.name}.{port.name}", _KINDS[port.direction]
+    tables = {"sensor": target.sensors, "actuator": target.actuators, "callable": target.callables}
+    same = tables.pop(port.direction)
+    other = next((direction for direction, table in tables.items() if name in table), None)
+    if name in same and same[name] == str(port.type):
+        return
+    if name in same:
+        message = f"{name} is of type {same[name]} on target {target.name}, not {port.type}"
+        yield Diagnostic("B003", "error", message, port.span)
+    elif other is not None:
+        message = f"{name} is {_KINDS[other]} on target {target.name}, not {kind}"
+        yield Diagnostic("B002", "error", message, port.span)
+    else:
+        offered = ", ".join(sorted(n for n in same if n.startswith(f"{module.name}."))) or "none"
+        message = f"target {target.name} offers no {kind.partition(' ')[2]} {name}"
+        yield Diagnostic("B002", "error", message, port.span, help=f"it offers: {offered}")

@@ -1,0 +1,268 @@
+"""What goes into each bundle: pure, from a checked program, targets and a fleet to a dict of path -> bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from koordgen import __version__
+from koordgen.build.bundle.calls import planner_budget
+from koordgen.build.bundle.write import SUMS, sums
+from koordgen.build.emit.program import functions_module, interface_hash, program_hash, program_text
+from koordgen.build.emit.property import properties_text
+from koordgen.build.emit.render import render
+from koordgen.fleet.manifest import Target
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.node import Node
+
+if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
+    from koordgen.fleet.file import Fleet
+    from koordgen.fleet.robots import Robot
+
+Files = dict[str, bytes]
+# In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
+RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
+ZENOH = "eclipse-zenoh>=1.10"
+# In every bundle and every run's folder: the source and params that a replay of its traces needs.
+SOURCE, PARAMS = "source", "params.json"
+
+
+class Ingredients(Node):
+    """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
+    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle; `params` are
+    values that were given."""
+
+    program: Program
+    source: bytes
+    targets: tuple[Target, ...]
+    fleet: Fleet | None
+    common: Files
+    target_files: dict[str, Files]
+    beside: Files
+    params: Mapping[str, Any]
+
+
+def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
+    """Bundle name -> relative path -> bytes, for the targets named in `wanted`: with a fleet one bundle a robot,
+    the harnesses that were asked for, and `fleet`; without one, one bundle a target."""
+    text = program_text(these.program, _functions(these)).encode()
+    agents = {t.name: t for t in these.targets if t.kind == "agent"}
+    harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
+    if these.fleet is None:
+        built = {t.name: _finished(_agent(these, t, text, None)) for t in agents.values() if t.name in wanted}
+        bundles = dict(built)
+    else:
+        parts = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
+        facts: Files = {"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))}
+        release = {RELEASE: _release(parts)}
+        built = {name: _finished(files | release) for name, files in parts.items()}
+        bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
+        bundles["fleet"] = _finished(facts | release)
+    for harness in harnesses:
+        bundles[harness.name] = _harness(these, harness, text, built)
+    return bundles
+
+
+def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None) -> Files:
+    module, _, name = target.entry.partition(":")
+    program, fleet = these.program, these.fleet
+    values = {
+        "app": program.name,
+        "robot": robot.name if robot else "",
+        "pid": robot.pid if robot else "",
+        "key": fleet.key if fleet else "",
+        "target": target.name,
+        "summary": target.summary,
+        "source": program.path,
+        "version": __version__,
+        "program_hash": program_hash(program, _functions(these)),
+        "interface_hash": interface_hash(program),
+    }
+    files = {
+        **these.common,
+        **these.target_files[target.name],
+        **these.beside,
+        "__main__.py": render("main_agent.py", module=module, name=name, drivers=_drivers(these)).encode(),
+        "program.py": text,
+        "properties.py": _properties(these),
+        program.path: these.source,
+        PARAMS: _json(dict(these.params)),
+        "requirements.txt": _requirements(fleet, target),
+        "README.md": render("README_agent.md", **values).encode(),
+    }
+    if robot is not None and fleet is not None:
+        files["settings.json"] = _json(settings(program, fleet, robot))
+    return files
+
+
+def _release(parts: Mapping[str, Files]) -> bytes:
+    """The name of what is built together: a digest of the files of all robots, whichever of them are asked for, so that
+    a fleet's robots have equal names just when they come from the same program, fleet file, params and version."""
+    digest = sha256()
+    for name, files in sorted(parts.items()):
+        digest.update(f"{name}\n".encode() + sums(files))
+    return f"{digest.hexdigest()[: 2 * RELEASE_SIZE]}\n".encode()
+
+
+def _functions(these: Ingredients) -> bytes:
+    return these.beside.get(f"{functions_module(these.program)}.py", b"")
+
+
+def _properties(these: Ingredients) -> bytes:
+    return properties_text(these.program, these.fleet.drivers if these.fleet else ()).encode()
+
+
+def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
+    """(module of the program, Python module, class) of each driver that agents need."""
+    named = these.fleet.drivers if these.fleet else {}
+    return [(m.name, named[m.name].module, named[m.name].name) for m in these.program.modules if m.name in named]
+
+
+def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, Files]) -> Files:
+    module, _, name = target.entry.partition(":")
+    program, fleet = these.program, these.fleet
+    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
+    functions = f"{functions_module(program)}.py"
+    files = {
+        **these.common,
+        **these.target_files[target.name],
+        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
+        **{path: data for path, data in these.beside.items() if path == functions},
+        "__main__.py": render("main_harness.py", module=module, name=name).encode(),
+        "program.py": text,
+        "properties.py": _properties(these),
+        f"{SOURCE}/{program.path}": these.source,
+        f"{SOURCE}/{PARAMS}": _json(dict(these.params)),
+        **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
+        "requirements.txt": _requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
+        "README.md": render(
+            "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
+            version=__version__, robots=robots,
+        ).encode(),
+    }  # fmt: skip
+    for agent, contents in agents.items():
+        files.update({f"agents/{agent}/{path}": data for path, data in contents.items()})
+    if fleet is not None:
+        files["scenario.json"] = _json(_scenario(these, fleet, target))
+    return _finished(files)
+
+
+def _finished(files: Files) -> Files:
+    return {**files, SUMS: sums(files)}
+
+
+def _requirements(fleet: Fleet | None, *targets: Target) -> bytes:
+    """`fleet`: whose network the robots use; the simulator's is always the loopback."""
+    lines = dict.fromkeys(line for target in targets for line in target.requirements)
+    if fleet is not None and fleet.network["transport"] == "zenoh":
+        lines[ZENOH] = None
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def _json(value: Any) -> bytes:
+    return (json.dumps(value, indent=2) + "\n").encode()
+
+
+def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, Any]:
+    """What all robots of the fleet share."""
+    return {
+        "app": program.name,
+        "program_hash": program_hash(program, functions),
+        "interface_hash": interface_hash(program),
+        "application_id": fleet.application_id,
+        "delta": fleet.delta,
+        "origin": fleet.origin,
+        "geofence": fleet.geofence,
+        "obstacles": fleet.obstacles,
+        "peers": [{"name": r.name, "host": r.host, "port": r.port} for r in fleet.robots],
+    }
+
+
+def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
+    """One robot's `settings.json`, as koordgen/runtime/config/settings.py reads it."""
+    facts = _facts(program, fleet)
+    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
+    return {
+        "robot": robot.name,
+        "pid": robot.pid,
+        **shared,
+        "key_file": fleet.key or None,
+        "insecure": fleet.insecure,
+        "network": fleet.network,
+        "control": robot.control,
+        "planner_budget": planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget),
+        "safety": fleet.safety,
+        "monitors": fleet.monitors,
+        "avoid": fleet.avoid,
+        "body": robot.settings,
+    }
+
+
+def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
+    by_name = {t.name: t for t in these.targets}
+    facts = _facts(these.program, fleet, _functions(these))
+    return {
+        "app": these.program.name,
+        "source": these.program.path,
+        **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
+        "world": fleet.world.facts,
+        **store_facts(these.program),
+        "drivers": _drivers(these),
+        "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
+        "robots": [
+            {
+                "name": r.name,
+                "pid": r.pid,
+                "target": r.target,
+                "bundle": f"agents/{r.name}",
+                **by_name[r.target].simulation,
+                "start": r.start,
+                "settings": r.settings,
+                harness.name: r.harness.get(harness.name, {}),
+            }
+            for r in fleet.robots
+        ],
+    }
+
+
+def store_facts(program: Program) -> dict[str, Any]:
+    """Return the shared variables and record types, as a scenario and the header of a run's trace have them."""
+    return {
+        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in program.shared],
+        "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in program.records},
+    }
+
+
+def read_ingredients(
+    program: Program,
+    source: bytes,
+    targets: tuple[Target, ...],
+    fleet: Fleet | None,
+    package: Path,
+    beside: Mapping[str, Path] = MappingProxyType({}),
+    params: Mapping[str, Any] = MappingProxyType({}),
+) -> Ingredients:
+    """Reads every file that is copied whole. `package` is the koordgen package itself; `beside` are the user's own
+    files by their path inside a bundle."""
+    common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
+    common.update(_folder(package / "runtime", "koordgen/runtime"))
+    own = {path: file.read_bytes() for path, file in beside.items()}
+    common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
+    return Ingredients(
+        program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}, own, params
+    )
+
+
+def _target_files(target: Target) -> Files:
+    folders = (target.folder, *(target.folder.parent / name for name in target.also))
+    return {path: data for folder in folders for path, data in _folder(folder, f"targets/{folder.name}").items()}
+
+
+def _folder(folder: Path, prefix: str) -> Files:
+    """Python, C that is compiled on the robot, what pages are made of, and the licences of other people's code."""
+    found = (p for kind in ("*.py", "*.c", "*.h", "*.js", "*.css", "LICENSE") for p in sorted(folder.rglob(kind)))
+    return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

@@ -1,0 +1,114 @@
+"""Looks at a user's Python file without running it in this process: what it offers, or why it cannot be imported.
+
+As a script it is the child: it imports one file and writes what it found as JSON. Whatever the file does at its
+import (prints, raises, exits, never ends) stays there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+TIMEOUT = 10.0  # seconds
+METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
+METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
+
+
+class Unusable(Exception):
+    """A file that cannot be imported; the message says why, without the file's name."""
+
+
+def look(file: Path, root: Path, names: list[str]) -> dict[str, dict[str, Any] | None]:
+    """What `file` offers under these names, None where there is nothing; see `_described`. Dotted imports in it begin
+    at `root`. Raises Unusable."""
+    package = Path(__file__).resolve().parents[3]
+    command = [sys.executable, "-B", __file__, str(file), str(root), str(package), *names]
+    try:
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT)
+    except subprocess.TimeoutExpired:
+        raise Unusable(f"its import did not end within {TIMEOUT:.0f} s") from None
+    try:
+        found = json.loads(done.stdout)
+    except ValueError:
+        raise Unusable(f"its import ended the process (status {done.returncode})") from None
+    if "error" in found:
+        raise Unusable(found["error"])
+    offered: dict[str, dict[str, Any] | None] = found["offers"]
+    return offered
+
+
+def _main(file: str, root: str, package: str, names: list[str]) -> None:
+    import importlib.util
+
+    answer = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what the file prints goes elsewhere
+    sys.path[:1] = [root, package]  # instead of this script's own folder
+    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look there
+    try:
+        spec.loader.exec_module(module)
+        found: dict[str, Any] = {"offers": {name: _described(getattr(module, name, None)) for name in names}}
+    except BaseException as error:  # SystemExit above all
+        found = {"error": f"{type(error).__name__}: {error}{_where(error, file)}"}
+    json.dump(found, answer)
+    answer.close()
+    os._exit(0)  # not the file's threads and exit handlers
+
+
+def _where(error: BaseException, file: str) -> str:
+    line, trace = 0, error.__traceback__
+    while trace is not None:
+        line = trace.tb_lineno if trace.tb_frame.f_code.co_filename == file else line
+        trace = trace.tb_next
+    return f" (line {line})" if line else ""
+
+
+def _described(thing: Any) -> dict[str, Any] | None:
+    """Of a function `parameters`, its names by position, how many are `required`, and whether it takes `any` number;
+    of a class `flaw`, why no value of it can be made and packed, and its tables and methods."""
+    import inspect
+
+    if not callable(thing):
+        return None
+    found: dict[str, Any] = {"class": isinstance(thing, type)}
+    try:
+        parameters = inspect.signature(thing).parameters.values()
+    except (ValueError, TypeError):  # made in C: nothing is known of its parameters
+        return {**found, "parameters": [], "required": 0, "any": True}
+    by_position = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    found["parameters"] = [p.name for p in by_position]
+    keywords = [p for p in parameters if p.kind == p.KEYWORD_ONLY and p.default is p.empty]
+    found["required"] = len([p for p in by_position if p.default is p.empty]) + 1000 * len(keywords)
+    found["any"] = any(p.kind == p.VAR_POSITIONAL for p in parameters)
+    if isinstance(thing, type):
+        for table in ("sensors", "actuators"):
+            ports = getattr(thing, table, {})
+            usable = isinstance(ports, dict) and all(isinstance(x, str) for pair in ports.items() for x in pair)
+            found[table] = ports if usable else None
+        found["methods"] = [name for name in METHODS if callable(getattr(thing, name, None))]
+        found["flaw"] = _flaw(thing)
+    return found
+
+
+def _flaw(cls: type) -> str:
+    import importlib
+
+    try:
+        packing: Any = importlib.import_module("msgspec.msgpack")
+    except ModuleNotFoundError:  # a host that builds and never runs
+        return ""
+    try:
+        packing.decode(packing.encode(cls()), type=cls)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4:])

@@ -1,0 +1,135 @@
+"""Formulas -> Python over arrays, for many moments at once: a condition that is enough for the formula to hold.
+
+Not exact, and need not be: comparisons of floats leave a margin, so what is surely so is so by the exact formula, too,
+whatever the arrays round; where it is not, the exact one is asked. What may have no value has no such form, nor has
+what needs more than numbers, Points and truth values: then there is none for the whole formula. A comparison that meets
+NaN is never sure, so it matters only where another one would do instead.
+"""
+
+from __future__ import annotations
+
+from koordgen.build.emit import expr as exact
+from koordgen.build.emit.floats import may_meet_nan
+from koordgen.build.emit.names import Names
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
+
+_NUMBERS = (INT, FLOAT)
+_OPPOSITE = {">": "<=", ">=": "<", "<": ">=", "<=": ">", "==": "!=", "!=": "=="}
+
+
+class _Beyond(Exception):
+    """There is no such form."""
+
+
+def text(formula: ir.Expr, names: Names) -> str:
+    """The expression, over what is called `b`, which has the arrays; empty when there is none."""
+    try:
+        return _sure(formula, True, {}, names)
+    except _Beyond:
+        return ""
+
+
+def text_of_each(formula: ir.Expr, names: Names) -> str:
+    """The same of an assumption, for all robots at once: they are along the first axis."""
+    try:
+        return _sure(formula, True, {"": 0}, names)
+    except _Beyond:
+        return ""
+
+
+def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> str:
+    """That a condition surely is what is wanted. `axes`: of each quantified robot."""
+    match node:
+        case ir.Unary("not", operand):
+            return _sure(operand, not wanted, axes, names)
+        case ir.Logic(op, left, right):
+            both = (op == "and") == wanted
+            if not both and may_meet_nan(left):
+                raise _Beyond
+            parts = f"({_sure(left, wanted, axes, names)}, {_sure(right, wanted, axes, names)})"
+            return f"b.{'both' if both else 'either'}{parts}"
+        case ir.Quantified(kind, name, ir.Ids(), body):
+            if (kind == "exists") == wanted and may_meet_nan(body):
+                raise _Beyond
+            inner = _sure(body, wanted, {**axes, name: len(axes)}, names)
+            return f"b.{'every' if (kind == 'forall') == wanted else 'some'}({len(axes)}, {inner})"
+        case ir.Compare(op, left, right):
+            return _compared(op if wanted else _OPPOSITE[op], left, right, axes, names)
+        case ir.Contains(item, ir.Builtin("Rect" | "Ball" as region, (one, other))) if item.type == POINT:
+            parts = ", ".join([_value(part, axes, names) for part in (item, one, other)])
+            return f"b.{'in' if wanted else 'out_of'}_{region.lower()}({parts})"
+        case _ if node.type == BOOL:
+            shown = _value(node, axes, names)
+            return shown if wanted else f"b.no({shown})"
+        case _:
+            raise _Beyond
+
+
+def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], names: Names) -> str:
+    first, second = _value(left, axes, names), _value(right, axes, names)
+    match left, right:
+        case ((ir.TempRead() | ir.Pid()), (ir.TempRead() | ir.Pid())):  # two robots
+            return f"{first} {op} {second}"
+        case _ if left.type == BOOL and op in ("==", "!="):
+            return f"({first}) {op} ({second})"
+        case _ if left.type not in _NUMBERS or op == "==":
+            raise _Beyond  # no margin makes it sure
+        case _ if op == "!=":
+            return f"b.apart({first}, {second})"
+        case _:
+            return f"b.over({first}, {second})" if op in (">", ">=") else f"b.over({second}, {first})"
+
+
+def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
+    """A number, Point or truth value that cannot fail."""
+    match node:
+        case ir.Const(value) if node.type in (*_NUMBERS, BOOL):
+            return exact.literal(value) if not isinstance(value, (int, float)) or value >= 0 else f"({value!r})"
+        case ir.NSys():
+            return "b.n_sys"
+        case ir.ParamRead(name) if _plain(node.type):
+            return f"b.point({names.params[name]})" if node.type == POINT else names.params[name]
+        case ir.Pid():
+            return "b.robot(0)"
+        case ir.PortRead(module, port, primed) if _plain(node.type):
+            prime = "'" if primed else ""
+            return f"b.each({exact.literal(f'{module}.{port}{prime}')}, 0)"
+        case ir.TempRead(name) if name in axes:
+            return f"b.robot({axes[name]})"
+        case ir.SharedRead(name) if _plain(node.type):
+            return f"b.one({exact.literal(name)})"
+        case ir.LocalOf(name, robot) | ir.SlotRead(name, robot) if _plain(node.type):
+            return f"b.each({exact.literal(name)}, {_axis(robot, axes)})"
+        case ir.PortOf(module, port, robot) if _plain(node.type):
+            return f"b.each({exact.literal(f'{module}.{port}')}, {_axis(robot, axes)})"
+        case ir.Widen(operand):
+            return _value(operand, axes, names)
+        case ir.Unary("-", operand):
+            return f"-({_value(operand, axes, names)})"
+        case _:
+            return _made(node, axes, names)
+
+
+def _made(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
+    match node:
+        case ir.Binary("+" | "-" | "*" as op, left, right) if _plain(left.type) and _plain(right.type):
+            return f"({_value(left, axes, names)} {op} {_value(right, axes, names)})"
+        case ir.Binary("/", left, (ir.Const(by) | ir.Widen(ir.Const(by)))) if by and _plain(left.type):
+            return f"({_value(left, axes, names)} / {by!r})"
+        case ir.Field(operand, name) if operand.type == POINT:
+            return f"({_value(operand, axes, names)})[{'xyz'.index(name)}]"
+        case ir.Builtin("distance" | "Point" as name, args):
+            return f"b.{name.lower()}({', '.join([_value(arg, axes, names) for arg in args])})"
+        case _:
+            raise _Beyond
+
+
+def _plain(type_: Type) -> bool:
+    return type_ in (INT, FLOAT, BOOL, POINT)
+
+
+def _axis(robot: ir.Expr, axes: dict[str, int]) -> int:
+    if isinstance(robot, ir.TempRead) and robot.name in axes:
+        return axes[robot.name]
+    raise _Beyond

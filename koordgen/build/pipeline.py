@@ -1,0 +1,270 @@
+"""The passes in order, read as a table of contents: text -> syntax tree -> typed IR -> IR of this build -> bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING
+
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.diagnostics import Diagnostic, in_order, together
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.stmt import LoopInvariant
+from koordgen.lang.ir.types import POINT, RecordType, Sequence, list_of
+from koordgen.lang.ir.verify import verify
+from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax import decl as tree
+from koordgen.lang.syntax.parse import parse
+
+if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib alone takes a tenth of its time
+    from pathlib import Path
+
+    from koordgen.build.bundle.plan import Files
+    from koordgen.fleet.file import Fleet
+    from koordgen.fleet.manifest import Target
+    from koordgen.fleet.offered import Driver, Known
+    from koordgen.lang.check.sections.params import Value
+
+
+class Rejected(Exception):
+    """The user's files are wrong: the diagnostics say where and why, each with the source it points into."""
+
+    def __init__(self, found: Collection[tuple[Source, Diagnostic]]) -> None:
+        super().__init__("the user's files are wrong")
+        self.found = tuple(found)
+
+
+class Checked(Node):
+    """A program that passed, and what was noticed on the way (warnings and notes)."""
+
+    source: Source
+    program: Program
+    noticed: tuple[Diagnostic, ...]
+
+
+def read_source(path: str) -> Source:
+    """The text of a user's file. Raises Rejected when it cannot be read or is no UTF-8."""
+    start = Span(1, 1, 1, 1)
+    try:
+        with open(path, "rb") as file:
+            raw = file.read()
+        return Source(path, raw.decode("utf-8-sig"))
+    except OSError as error:
+        problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
+    raise Rejected([(Source(path, ""), problem)])
+
+
+def parse_file(path: str) -> tuple[Source, tree.Program]:
+    """parse. Raises Rejected."""
+    source = read_source(path)
+    parsed, found = parse(source)
+    if found:
+        raise Rejected([(source, d) for d in found])
+    return source, parsed
+
+
+def check_file(path: str) -> Checked:
+    """parse, check, verify; what could be read of a text is checked, whatever else is wrong. Raises Rejected."""
+    source = read_source(path)
+    parsed, unread = parse(source)
+    program, found = check(parsed, source)
+    if unread or program is None:
+        raise Rejected([(source, d) for d in together(unread, found)])
+    verify(program)
+    return Checked(source, program, tuple(found))
+
+
+def dump(path: str, after: str) -> str:
+    """The program as it stands after a pass, for people: "parse" or "check". Raises Rejected."""
+    if after == "parse":
+        from koordgen.lang.syntax.printer import show as show_tree
+
+        return show_tree(parse_file(path)[1])
+    from koordgen.lang.ir.printer import show
+
+    return show(check_file(path).program)
+
+
+def plan_file(
+    path: str,
+    wanted: Collection[str] | None,
+    fleet_path: str | None,
+    params: Mapping[str, Value],
+    functions: str | None = None,
+) -> tuple[Checked, dict[str, Files]]:
+    """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
+    are names of targets that exist; None, which needs a fleet, stands for the targets of its robots. `functions` is the
+    file of the extern functions, if not the usual one. Raises Rejected, BadParam, ManifestError."""
+    from pathlib import Path
+
+    from koordgen.build.bundle.calls import check_calls, planner_budget
+    from koordgen.build.bundle.offer import check_ports
+    from koordgen.build.bundle.plan import plan, read_ingredients
+    from koordgen.fleet import manifest
+    from koordgen.lang import resources
+    from koordgen.lang.check.sections.params import with_params
+
+    checked = check_file(path)
+    fleet: Fleet | None = None
+    given = dict(params)
+    if fleet_path is not None:
+        targets = {name: manifest.load(name) for name in manifest.available()}
+        fleet, from_file = read_fleet(fleet_path, targets, checked.program, path)
+        given = {**from_file, **given}
+        needed = {r.target for r in fleet.robots}.union(wanted or ())
+    else:
+        needed = set(wanted or ())
+        targets = {name: manifest.load(name) for name in needed}
+    used = tuple(targets[name] for name in sorted(needed))
+    program = with_params(checked.program, given)
+    verify(program)
+    drivers = fleet.drivers if fleet else {}
+    sending = _check_sending(program, fleet) if fleet else []
+    wrong = [*check_ports(program, used, drivers), *(d for d in sending if d.severity == "error")]
+    own, missing = _beside(program, path, fleet_path, drivers, used, functions)
+    own |= _own_classes(path, fleet_path, fleet, targets) if fleet and fleet_path else {}
+    if wrong or missing:
+        raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
+    if fleet:
+        budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
+        slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
+        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
+    source = Path(path).read_bytes()
+    return checked, plan(
+        read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed
+    )
+
+
+def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
+    """What such a fleet cannot send (errors), or not at once (warnings)."""
+    from koordgen.build.bundle.budget import check_budget, check_link
+
+    robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
+    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all)
+
+
+def _beside(
+    program: Program,
+    path: str,
+    fleet_path: str | None,
+    drivers: Mapping[str, Driver],
+    targets: tuple[Target, ...],
+    functions: str | None,
+) -> tuple[dict[str, Path], list[Diagnostic]]:
+    """The user's own Python that goes into bundles, by its path there, and what is wrong with it."""
+    from pathlib import Path
+
+    from koordgen.build.bundle.functions import check_functions, functions_file
+    from koordgen.build.emit.program import functions_module
+
+    folder = Path(path).parent
+    file = functions_file(program, folder, functions)
+    wrong = check_functions(program, file)
+    own = {f"{functions_module(program)}.py": file} if file else {}
+    if fleet_path is not None and drivers:
+        from koordgen.build.bundle.drivers import check_drivers, driver_files
+
+        served = driver_files(drivers, program, [Path(fleet_path).parent, folder])
+        wrong += check_drivers(program, drivers, served, targets)
+        own |= {drivers[name].path: found for name, found in served.items()}
+    return own, wrong
+
+
+def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Path]:
+    """The files of classes that settings of robots name, by their path in bundles."""
+    from pathlib import Path
+
+    from koordgen.build.bundle.drivers import find
+    from koordgen.fleet.file import own_classes
+
+    folders = [Path(fleet_path).parent, Path(path).parent]
+    return {file: find(file, folders) for file in own_classes(fleet, targets)}
+
+
+def read_fleet(
+    path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = ""
+) -> tuple[Fleet, dict[str, Value]]:
+    """The fleet and its params as values; without a program nothing is known of those. Beside the fleet file and the
+    program stand the classes that settings name. Raises Rejected."""
+    from koordgen.fleet import file as fleet
+    from koordgen.fleet.offered import Known
+
+    source = read_source(path)
+    found: list[tuple[Source, Diagnostic]] = []
+
+    def report(code: str, message: str, span: Span, help: str) -> None:
+        found.append((source, Diagnostic(code, "error", message, span, help=help)))
+
+    params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
+    known = _known(program, path, program_path or path) if program is not None else Known()
+    read = fleet.read(source, targets, params, report, known)
+    if read is None:
+        raise Rejected(found)
+    return read, read.params
+
+
+def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
+    """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
+    if path is None:
+        return {}
+    from koordgen.fleet import manifest
+
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    return read_fleet(path, targets, checked.program, program_path)[1]
+
+
+def _known(program: Program, fleet_path: str, program_path: str) -> Known:
+    from functools import cache
+    from pathlib import Path
+
+    from koordgen.build.bundle.drivers import own_class
+    from koordgen.fleet.offered import Driver, Known
+
+    folders = [Path(fleet_path).parent, Path(program_path).parent]
+
+    def unpublished(name: str) -> str:
+        known = [s.name for s in program.shared if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
+        if name in known:
+            return ""
+        there = f"; there are: {', '.join(known)}" if known else ""
+        return (
+            f"avoid is {name!r}: the program has no allread variable of that name that is a Point or List<Point>{there}"
+        )
+
+    def unmarked(name: str, position: str) -> str:
+        found = next((s.type for s in program.shared if s.name == name), None)
+        element = found.element if isinstance(found, Sequence) else None
+        places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
+        if position in places or (element == POINT and not position):
+            return ""
+        field = f"whose elements have a Point in {position!r}" if position else "of Points"
+        there = f"; there are: {', '.join(places)}" if places else ""
+        return f"marker_list.variable is {name!r}: the program has no shared list of that name {field}{there}"
+
+    @cache  # all robots name the same class, mostly, and it takes a process to look at one
+    def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
+        return own_class(Driver(module, name), methods, program, folders)
+
+    own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
+    own += [f"assume {module.name}" for module in program.modules if module.assumptions]
+    own += [f"requires {f.name}" for f in program.externs if f.requires]
+    own += [f"ensures {f.name}" for f in program.externs if f.ensures]
+    if any(isinstance(node, LoopInvariant) for node in nodes((program.init, program.events, program.functions))):
+        own.append("loop invariants")
+    return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
+
+
+def _fits(program: Program, name: str) -> Callable[[Value], str]:
+    from koordgen.lang.check.sections.params import BadParam, with_params
+
+    def misfit(value: Value) -> str:
+        try:
+            with_params(program, {name: value})
+        except BadParam as bad:
+            return str(bad)
+        return ""
+
+    return misfit

@@ -1,1 +1,0 @@
-"""Many runs of one fleet: what varies between them, who runs them, what came of it. Host only."""

@@ -1,0 +1,122 @@
+"""Bundles as commands need them: named targets, params, planning and writing, with errors for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from koordgen.cli.base.console import SURROUNDINGS, USAGE, Failure, install, tell
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Collection, Mapping
+
+    from koordgen.lang.check.sections.params import Value
+
+
+def target_names(text: str) -> list[str]:
+    from koordgen.fleet import manifest
+
+    wanted = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in wanted if name not in manifest.available()]
+    if unknown or not wanted:
+        message = f"no target {unknown[0]!r}" if unknown else "--target names no target"
+        raise Failure(USAGE, message, f"the targets are {available_targets()}")
+    return list(dict.fromkeys(wanted))
+
+
+def available_targets() -> str:
+    from koordgen.fleet import manifest
+
+    return ", ".join(manifest.available())
+
+
+def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str]) -> list[str]:
+    """Return the robots that get no bundle of their own, where bundles of robots are built at all."""
+    import json
+
+    from koordgen.fleet import manifest
+
+    if "fleet" not in bundles or all(manifest.load(name).kind != "agent" for name in targets):
+        return []
+    robots = json.loads(bundles["fleet"]["fleet.json"])["peers"]
+    return [robot["name"] for robot in robots if robot["name"] not in bundles]
+
+
+def planned(
+    options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
+) -> tuple[dict[str, dict[str, bytes]], str]:
+    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names.
+
+    Warnings and notes are told, or, for a command that prints a document of its own, put into `options.collected`.
+    """
+    from koordgen.build.pipeline import plan_file
+    from koordgen.fleet.manifest import ManifestError
+    from koordgen.lang.check.sections.params import BadParam
+
+    try:
+        given = {**more, **params(options.param)}
+        checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+    except ManifestError as error:
+        raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
+    noticed = [(checked.source, d) for d in checked.noticed]
+    if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
+        collected += noticed
+    else:
+        tell(noticed, options)
+    return bundles, checked.program.name
+
+
+def params(given: list[str]) -> dict[str, Value]:
+    if not given:
+        return {}
+    from koordgen.lang.check.sections.params import BadParam, parse_value
+
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise Failure(USAGE, f"--param {text}: NAME=VALUE is expected")
+        try:
+            values[name] = parse_value(value)
+        except BadParam as error:
+            raise Failure(USAGE, f"--param {text}: {error}") from None
+    return values
+
+
+def write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
+    from pathlib import Path
+
+    from koordgen.build.bundle.write import CannotWrite
+    from koordgen.build.bundle.write import write as write_all
+
+    try:
+        write_all(bundles, Path(str(folder)))
+    except CannotWrite as error:
+        raise Failure(SURROUNDINGS, str(error), error.hint) from None
+
+
+def require_packages() -> None:
+    """The harness and the agents run with this very Python."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    from koordgen.fleet import manifest
+    from koordgen.runtime.ops.host import needed
+
+    def is_missing(name: str) -> bool:
+        try:
+            version(name)
+        except PackageNotFoundError:
+            return True
+        return False
+
+    missing = set()
+    for target in map(manifest.load, manifest.available()):
+        wanted = set(filter(None, map(needed, target.requirements)))
+        missing |= set(filter(is_missing, wanted - set(target.one_of)))
+        if target.one_of and all(map(is_missing, target.one_of)):
+            missing.add(" or ".join(target.one_of))
+    if missing:
+        message = f"packages are missing: {', '.join(sorted(missing))}"
+        raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))

@@ -1,0 +1,60 @@
+"""The program that a trace is of: named, or found beside it; and that it is this very one."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from koordgen.cli.base.building import params
+from koordgen.cli.base.console import USAGE, WRONG, Failure
+from koordgen.lang.ir.decl import Program
+
+SOURCE, PARAMS = "source", "params.json"  # as bundle/plan.py and the harness leave them
+
+
+def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Program, Path | None]:
+    """The program of the trace at that path, and the file of its extern functions. Raises Rejected, Failure."""
+    from koordgen.build.bundle.functions import functions_file
+    from koordgen.build.emit.program import program_hash as hashed
+    from koordgen.build.pipeline import check_file, fleet_params
+    from koordgen.lang.check.sections.params import BadParam, with_params
+    from koordgen.lang.ir.verify import verify
+
+    place, beside = _place(options, trace)
+    checked = check_file(str(place))
+    try:
+        given = {**fleet_params(options.fleet, checked, str(place)), **beside, **params(options.param)}
+        program = with_params(checked.program, given)
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+    verify(program)
+    functions = functions_file(program, place.parent, options.functions)
+    if not program_hash:
+        shown = "counterexamples were run when they were found; `koordgen report` shows them"
+        raise Failure(WRONG, f"{trace} is not of a run", shown)
+    its = hashed(program, functions.read_bytes() if functions and functions.is_file() else b"")
+    if its != program_hash:
+        raise Failure(
+            WRONG, f"{trace} is of a program with the hash {program_hash}; {place} has {its}",
+            "another version of the program, other params or other extern functions: name the right ones "
+            "(--program, --fleet, --param, --functions)",
+        )  # fmt: skip
+    return program, functions
+
+
+def _place(options: Namespace, trace: Path) -> tuple[Path, dict[str, Any]]:
+    """Where the program is, and the values of its params that stand beside it: in the folder that the run left, which
+    may be this robot's run's, if none was named."""
+    if options.program is not None:
+        return Path(options.program), {}
+    for folder in (trace.parent, *trace.absolute().parents[1:3]):
+        programs = sorted((folder / SOURCE).glob("*.koord"))
+        if len(programs) == 1:
+            params = folder / SOURCE / PARAMS
+            try:
+                return programs[0], dict(json.loads(params.read_bytes())) if params.is_file() else {}
+            except ValueError as error:
+                raise Failure(WRONG, f"{params}: {error}") from None
+    raise Failure(USAGE, f"there is no folder {SOURCE}/ beside {trace}", "name the program with --program")

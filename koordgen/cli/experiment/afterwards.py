@@ -1,0 +1,38 @@
+"""`koordgen report`, `koordgen export` and `koordgen show`: what is made of a run that is over."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+
+from koordgen.cli.base import console
+from koordgen.lang import resources
+
+
+def afterwards(options: Namespace) -> int:
+    """The harness that left the run knows how."""
+    sys.path.insert(0, str(resources.targets().parent))
+    from targets.sim.trace import BadTrace
+    from targets.sim.view import commands
+    from targets.sim.view.failures import CannotMake
+
+    try:
+        if options.command == "report":
+            made: object = commands.report(options.trace, options.out)
+        elif options.command == "show":
+            made = commands.show(options.trace, options.at, options.format)
+        else:
+            made = commands.export(options.trace, options.to, options.out)
+    except CannotMake as error:
+        raise console.Failure(console.SURROUNDINGS, str(error), error.hint) from None
+    except BadTrace as error:
+        raise console.Failure(
+            console.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it"
+        ) from None
+    except OSError as error:
+        raise console.Failure(
+            console.SURROUNDINGS,
+            f"{error.filename or getattr(options, 'out', None) or options.trace}: {error.strerror or error}",
+        ) from None
+    print(made)
+    return console.HOLDS

@@ -1,0 +1,100 @@
+"""`koordgen sim --follow TRACE`: the trace, the program and the fleet brought together before anything runs."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from koordgen.build.pipeline import check_file, read_fleet
+from koordgen.cli.base.building import params
+from koordgen.cli.base.console import INCONCLUSIVE, USAGE, WRONG, Failure
+from koordgen.cli.verify.prove import hash_of
+from koordgen.lang.check.sections.params import BadParam, Value, as_given, with_params
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.step import initial
+from koordgen.verify.follow.exact import agree, nearest
+from koordgen.verify.follow.plan import CannotFollow, ModelOnly, document, planned
+from koordgen.verify.follow.read import Counterexample, read
+from koordgen.verify.replay.functions import CannotCall, externs
+from koordgen.verify.replay.trace import BadTrace
+from koordgen.verify.replay.values import BadValue, plain, taken
+
+REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")
+
+
+def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
+    """The params that the fleet leaves to the trace, and what the bundle is to follow. Raises Rejected, Failure."""
+    for name in REFUSED:
+        if getattr(options, name) not in (None, False):
+            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace says all that happens in the run")
+    try:
+        given = read(Path(options.follow))
+    except BadTrace as error:
+        raise Failure(WRONG, str(error), "name a trace that `koordgen explore` or `prove` wrote with --trace") from None
+    program, more = _program(options, given)
+    program_hash, functions = hash_of(program, options.program, options.functions)
+    try:
+        return more, document(planned(program, given, externs(program, functions)), program_hash)
+    except CannotFollow as error:
+        raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
+    except CannotCall as error:
+        raise Failure(WRONG, str(error), "name it with --functions") from None
+
+
+def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[str, Value]]:
+    """The program with the params of fleet and trace, and those that only the trace says."""
+    from koordgen.fleet import manifest
+
+    checked = check_file(options.program)
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    fleet, from_file = read_fleet(options.fleet, targets, checked.program, options.program)
+    if len(fleet.robots) != given.n_sys:
+        robots = f"{given.n_sys} robot{'s' * (given.n_sys != 1)}"
+        raise Failure(
+            WRONG, f"{given.path} is of {robots}, {options.fleet} has {len(fleet.robots)}",
+            f"name a fleet of {given.n_sys}, or look for a counterexample with --robots {len(fleet.robots)}",
+        )  # fmt: skip
+    try:
+        own = {**from_file, **params(options.param)}
+        told = _told(checked.program, given)
+        asked = {name: told[name] for name in given.given}
+        more = {name: value for name, value in asked.items() if name not in own}
+        program = with_params(checked.program, {**more, **own})
+        versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
+    except BadParam as error:
+        raise Failure(WRONG, f"{given.path}: {error}", "those are params of trace, fleet or command") from None
+    for name, here in initial(program, given.n_sys).params.items():
+        if not agree(given.params[name], plain(here)):
+            raise Failure(
+                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in it, and {plain(here)!r} here",
+                f"look for a counterexample with --fleet {options.fleet} and the same --param",
+            )  # fmt: skip
+    hashes = [hash_of(version, options.program, options.functions)[0] for version in versions]
+    if given.program_hash not in hashes:  # params may be written in more than one way
+        raise Failure(
+            WRONG, f"{given.path} is of a program with the hash {given.program_hash or '(none)'}; {options.program} "
+            f"has {hashes[0]}",
+            "another version of the program or of its extern functions: look for the counterexample anew",
+        )  # fmt: skip
+    return program, more
+
+
+def _told(program: Program, given: Counterexample) -> dict[str, Value]:
+    """The trace's params, as `--param` has them. Raises Failure."""
+    types = {p.name: p.type for p in program.params}
+    if set(given.params) != set(types):
+        raise Failure(
+            WRONG, f"{given.path} has the params {_names(given.params)}; {program.path} has {_names(types)}",
+            "another version of the program: look for the counterexample anew",
+        )  # fmt: skip
+    try:
+        values = {name: taken(value, types[name], nearest) for name, value in given.params.items()}
+        return {name: as_given(plain(value), types[name]) for name, value in values.items()}
+    except (BadValue, ValueError, TypeError) as error:
+        raise Failure(WRONG, f"{given.path}: its params are none of this program's: {error}") from None
+
+
+def _names(params: Mapping[str, Any]) -> str:
+    return ", ".join(sorted(params)) or "none"

@@ -1,0 +1,122 @@
+"""`koordgen dashboard`: the page that shows a fleet at work."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from koordgen.cli.base import console
+from koordgen.lang import resources
+from koordgen.operate.dashboard import Facts, Poller, built_facts
+from koordgen.operate.dashboard_access import Refused, access
+from koordgen.operate.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
+from koordgen.runtime.ops.host import pip_install
+
+if TYPE_CHECKING:
+    from targets.sim.trace import Header
+    from targets.sim.view.stream import FoxgloveServer
+
+
+def dashboard(options: Namespace) -> int:
+    """Serve the dashboard of a fleet until Ctrl-C."""
+    try:
+        allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
+        found = find_fleet(Path(options.fleet), console.say)
+        key = find_key(found, options.fleet, options.key, console.say)
+    except CannotStop as error:
+        raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
+    except Refused as error:
+        raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
+    facts = _facts(found, options.fleet)
+    sys.path.insert(0, str(resources.targets().parent))
+    from targets.sim.view.dashboard import Dashboard, FleetServer, first_header
+
+    targets = facts.plain.get("targets", {})
+    names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
+    plain = {name: value for name, value in facts.plain.items() if name != "targets"}
+    poller = Poller(facts.fleet, key, lambda pid, asked: board.take(pid, asked.report, asked.note))
+    header = first_header(names, plain)
+    board = Dashboard(
+        header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
+    )
+    stop = _stop(facts.fleet, key) if options.control else None
+    try:
+        server = FleetServer(allowed.host, options.port, board, stop, allowed.token, allowed.tls)
+    except (OSError, OverflowError) as error:
+        board.close()
+        message = f"{allowed.host}:{options.port}: {getattr(error, 'strerror', None) or error}"
+        raise console.Failure(console.SURROUNDINGS, message, "`--port N` names another port") from None
+    print(f"dashboard: {server.url}", flush=True)
+    if allowed.token:
+        print(f"it asks for the token that is in {options.token}", flush=True)
+    poller.start()
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    if options.browser:
+        _open(server.url)
+    try:
+        board.run()
+    finally:
+        board.close()
+        server.shutdown()
+    return console.HOLDS
+
+
+def _stream(header: Header, port: int) -> FoxgloveServer:
+    """Return a server for Foxglove at a port of this computer; 0: any that is free."""
+    from targets.sim.view.stream import FoxgloveServer
+
+    try:
+        server = FoxgloveServer(header, port)
+    except ModuleNotFoundError as error:
+        message = f"the Python package {error.name!r} is missing"
+        raise console.Failure(console.SURROUNDINGS, message, pip_install("'koordgen[foxglove]'")) from None
+    except OSError as error:
+        raise console.Failure(console.SURROUNDINGS, str(error)) from None
+    console.say(f"foxglove: {server.url}")
+    return server
+
+
+def _facts(fleet: Fleet, path: str) -> Facts:
+    """Return what the map shows besides robots. A fleet file that is not right in all parts still has its robots."""
+    from koordgen.build.pipeline import Rejected, read_fleet
+    from koordgen.operate.basestation import all_targets
+
+    if Path(path).is_dir():
+        return built_facts(fleet, Path(path))
+    try:
+        read, _ = read_fleet(path, all_targets(), None)
+    except Rejected as error:
+        reason = error.found[0][1].message if error.found else "it cannot be read"
+        console.say(f"warning: the map has no obstacles: {path}: {reason}")
+        return Facts(fleet, {})
+    plain = {
+        "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
+        "world": read.world.facts, "targets": {robot.name: robot.target for robot in read.robots},
+    }  # fmt: skip
+    return Facts(fleet, plain)
+
+
+def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
+    """Return what stops the fleet, and says so on this terminal."""
+
+    def stop() -> list[dict[str, Any]]:
+        results = stop_all(fleet.places, fleet.application, key, PATIENCE)
+        console.say(f"emergency stop from the dashboard\n{show(results, 'text')}")
+        robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
+        return robots
+
+    return stop
+
+
+def _open(url: str) -> None:
+    """Show the page in a browser with windows, if there is one: one in the terminal would hide this command."""
+    if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        import webbrowser
+
+        webbrowser.open(url)

@@ -1,0 +1,233 @@
+"""`koordgen deploy`, `rollback` and `key`: releases and keys that the whole fleet takes, or none of it."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from koordgen.cli.base import building, console
+from koordgen.cli.base.terminal import Line
+from koordgen.cli.operate import ssh
+
+if TYPE_CHECKING:
+    from koordgen.fleet.file import Fleet
+    from koordgen.operate.deploy import Deployed, Failed, Say
+
+BEFORE, NEXT = ".before", ".next"  # added to a key's file name: the key before the last rotation, the one of the next
+
+
+def deploy(options: Namespace) -> int:
+    """Build the fleet and deploy it. Raises Failure."""
+    from koordgen.operate import deploy as deployment
+
+    options.collected = []
+    bundles, app = building.planned(options, None)
+    fleet = ssh.read_fleet(options.fleet)
+    hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
+    robots = {robot.name: bundles[robot.name] for robot in fleet.robots}
+    place = fleet.deployment
+    built = deployment.Built(
+        robots, app, fleet.application_id, _key_bytes(fleet, options), place.service, place.wheels,
+        Path(options.fleet).parent,
+    )  # fmt: skip
+    return _run(options, lambda say: deployment.deploy(hosts, connecting, built, options.take_over, say))
+
+
+def rollback(options: Namespace) -> int:
+    """Return to a release that the robots still have. Raises Failure."""
+    from koordgen.operate import deploy as deployment
+
+    options.collected = []
+    fleet = ssh.read_fleet(options.fleet)
+    hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
+    key = _key_bytes(fleet, options)
+    return _run(options, lambda say: deployment.rollback(hosts, connecting, options.to, key, say))
+
+
+def key(options: Namespace) -> int:
+    """Make a key, or rotate the key of a fleet. Raises Failure."""
+    return _rotate(options) if options.action == "rotate" else _new_key(options)
+
+
+def _new_key(options: Namespace) -> int:
+    try:
+        _write_key(Path(options.file), secrets.token_bytes(32))
+    except FileExistsError:
+        help = "a key is never overwritten; choose another name, or change it with `koordgen key rotate FLEET`"
+        raise console.Failure(console.SURROUNDINGS, f"{options.file} exists", help) from None
+    print(f"{options.file}: keep it beside the fleet file; `koordgen deploy` brings it to every robot")
+    return console.HOLDS
+
+
+def _rotate(options: Namespace) -> int:
+    """The old key stays in its file until all robots have the new one, which waits in FILE.next; then the new one takes
+    its place by a rename, and the old one stays as FILE.before."""
+    from koordgen.operate import deploy as deployment
+
+    options.collected = []
+    fleet = ssh.read_fleet(options.file)
+    if not fleet.key:
+        raise console.Failure(
+            console.WRONG, f"{options.file}: the fleet is insecure, so it has no key", "set `key` instead"
+        )
+    hosts, connecting = ssh.fleet_hosts(fleet, options.file), ssh.connection(options)
+    options.fleet = options.file
+    old = _key_file(fleet, options)
+    before, waiting = _with(old, BEFORE), _with(old, NEXT)
+    _key_bytes(fleet, options)
+    with suppress(FileExistsError):  # of a rotation that did not end: the robots may have it already
+        _write_key(waiting, secrets.token_bytes(32))
+    new = _read_key(waiting)
+
+    def finish(say: Say) -> Deployed:
+        try:
+            done = deployment.rotate(hosts, connecting, new, say)
+        except deployment.Missed as missed:
+            missed.outcome += f". Until then keep both {old} and {waiting}"
+            raise
+        except deployment.Failed as failed:
+            if failed.outcome == deployment.NOTHING_CHANGED:
+                failed.outcome += f", and {old} stays its key"
+            raise
+        _take_place(old, before, waiting)
+        return done
+
+    status = _run(options, finish)
+    if status == console.HOLDS and options.format == "text":
+        print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
+    return status
+
+
+def _take_place(old: Path, before: Path, waiting: Path) -> None:
+    """Make the waiting key the fleet's, and keep the old one. Raises Failure."""
+    try:
+        before.unlink(missing_ok=True)
+        _write_key(before, old.read_bytes())
+        os.replace(waiting, old)
+    except OSError as error:
+        message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
+        raise console.Failure(console.SURROUNDINGS, message, "run the command again: it only moves the files") from None
+
+
+def _with(path: Path, ending: str) -> Path:
+    return path.with_name(path.name + ending)
+
+
+def _write_key(path: Path, content: bytes) -> None:
+    """Raises FileExistsError, Failure."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(descriptor)
+        except BaseException:
+            os.unlink(path)  # half a key would stand in the way of a whole one
+            raise
+    except FileExistsError:
+        raise
+    except OSError as error:
+        raise console.Failure(console.SURROUNDINGS, f"{path}: {error.strerror}") from None
+
+
+def _key_file(fleet: Fleet, options: Namespace) -> Path:
+    """Return the file of the fleet's key: --key, else beside the fleet file, else in the working directory."""
+    if options.key:
+        return Path(options.key)
+    beside = Path(options.fleet).parent / fleet.key
+    return beside if beside.exists() or not Path(fleet.key).exists() else Path(fleet.key)
+
+
+def _key_bytes(fleet: Fleet, options: Namespace) -> bytes | None:
+    """Return the fleet's key; None for an insecure fleet. Raises Failure."""
+    return _read_key(_key_file(fleet, options)) if fleet.key else None
+
+
+def _read_key(path: Path) -> bytes:
+    from koordgen.runtime.net.seal import BadKey, load_key
+
+    try:
+        return load_key(path)
+    except BadKey as error:
+        raise console.Failure(console.WRONG, str(error), "nothing was changed") from None
+
+
+def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
+    """Run a deployment, show its progress on a terminal, and report what became of it. Raises Failure."""
+    from koordgen.operate.deploy import Failed
+
+    try:
+        with _progress(options) as say:
+            done = run(say)
+    except Failed as failed:
+        return _report_failure(options, failed)
+    if options.format == "json":
+        console.print_document(options, _as_data(done))
+    else:
+        print(_as_text(done))
+    return console.HOLDS
+
+
+@contextmanager
+def _progress(options: Namespace) -> Iterator[Say]:
+    line = Line(sys.stderr)
+    shown = not options.quiet and options.format == "text"
+    try:
+        yield line.show if shown else lambda text: None
+    finally:
+        line.end()
+
+
+def _report_failure(options: Namespace, failed: Failed) -> int:
+    status = ssh.status_of(failed.errors) if failed.errors else console.INTERRUPTED
+    from koordgen.operate.deploy import Missed
+
+    if isinstance(failed, Missed):
+        status = console.WRONG
+    if options.format == "json":
+        errors = [
+            {"robots": list(each.host.robots), "host": each.host.login.text, "error": each.code,
+             "message": each.message, "help": each.help} for each in failed.errors
+        ]  # fmt: skip
+        console.print_document(options, {"release": None, "outcome": failed.outcome, "errors": errors})
+        return status
+    for error in failed.errors:
+        console.say(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
+    console.say(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
+    return status
+
+
+def _as_data(done: Deployed) -> dict[str, object]:
+    return {
+        "release": done.release,
+        "hosts": [
+            {
+                "host": host.login.text,
+                "robots": list(host.robots),
+                "before": before,
+                "changed": host in done.changed,
+                "sent_bytes": done.sent[host],
+            }
+            for host, before in done.before.items()
+        ],
+        "seconds": {name: round(seconds, 3) for name, seconds in done.seconds.items()},
+        "errors": [],
+    }
+
+
+def _as_text(done: Deployed) -> str:
+    robots = sum(len(host.robots) for host in done.before)
+    sent = sum(done.sent.values())
+    took = sum(done.seconds.values())
+    size = f"{sent / 1e6:.1f} MB sent, {took:.1f} s"
+    named = f"{robots} robot{'s' if robots != 1 else ''}"
+    if not done.changed:
+        return f"release {done.release}: {named} had it already; {size}"
+    return f"release {done.release}: on {named}, confirmed; {size}"

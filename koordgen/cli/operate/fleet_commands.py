@@ -1,0 +1,128 @@
+"""`koordgen start`, `stop`, `logs` and `doctor --fleet`: commands that work on robots over SSH, all side by side."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from argparse import Namespace
+from collections.abc import Awaitable, Callable, Sequence
+from datetime import datetime
+from typing import TypeVar
+
+from koordgen.cli.base import console
+from koordgen.cli.base.parser import nearest
+from koordgen.cli.base.terminal import coloured_name
+from koordgen.cli.operate.ssh import connection, describe, fleet_hosts, read_fleet, status_of
+from koordgen.fleet.file import Fleet
+from koordgen.operate.examination import examine, table, to_json, worst
+from koordgen.operate.host_tool_archive import archive
+from koordgen.operate.hosts import HostError, Sessions, sessions
+from koordgen.operate.logs import Line, show_lines
+from koordgen.operate.services import Done, Refused
+from koordgen.operate.services import start as start_agents
+from koordgen.operate.services import stop as stop_agents
+
+Result = TypeVar("Result")
+
+
+def start(options: Namespace) -> int:
+    """Start the agents of a fleet, all or none of it where hosts differ."""
+    fleet = read_fleet(options.fleet)
+    try:
+        done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
+    except Refused as error:
+        raise console.Failure(console.WRONG, str(error), error.help) from None
+    except HostError as error:
+        raise console.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
+    if done.robots:
+        print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
+    if done.idle:
+        print(f"running before: {_names(fleet, done.idle)}", flush=True)
+    return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started" if done.robots else "")
+
+
+def stop(options: Namespace) -> int:
+    """Stop the agents of a fleet in their orderly way."""
+    fleet = read_fleet(options.fleet)
+    robots = _chosen(fleet, options.robots)
+    done = on_hosts(options, fleet, robots, lambda opened: stop_agents(opened, options.seconds))
+    if done.robots:
+        print(f"stopped {_names(fleet, done.robots)}", flush=True)
+    if done.idle:
+        print(f"not running: {_names(fleet, done.idle)}", flush=True)
+    return _ended(done, f"in an emergency: `koordgen estop {options.fleet}`")
+
+
+def logs(options: Namespace) -> int:
+    """Show the log lines of a fleet in the order of time."""
+    fleet = read_fleet(options.fleet)
+    lost: list[HostError] = []
+    index = {robot.name: robot.pid for robot in fleet.robots}
+    width = max(map(len, index))
+
+    def show(line: Line) -> None:
+        at = datetime.fromtimestamp(line.time).strftime("%m-%d %H:%M:%S.%f")[:-3]
+        name = coloured_name(f"{line.robot:<{width}}", index[line.robot], sys.stdout)
+        print(f"{at}  {name}  {_shown(line.text)}", flush=True)
+
+    def note(error: HostError) -> None:
+        lost.append(error)
+        console.say(f"warning: {describe([error])}")
+
+    robots = _chosen(fleet, options.robots)
+    on_hosts(options, fleet, robots, lambda opened: show_lines(opened, options.lines, options.follow, show, note))
+    if lost:
+        names = ", ".join(robot for error in lost for robot in error.host.robots)
+        raise console.Failure(status_of(lost), f"lines of {names} are missing", "see the warnings above")
+    return console.HOLDS
+
+
+def doctor(options: Namespace) -> int:
+    """Let every robot's doctor look; the exit status is that of the worst."""
+    fleet = read_fleet(options.fleet)
+    order = {robot.name: robot.pid for robot in fleet.robots}
+    examined = sorted(on_hosts(options, fleet, None, examine), key=lambda each: order[each.robot])
+    print(to_json(examined) if options.format == "json" else table(examined), flush=True)
+    return worst(examined)
+
+
+def on_hosts(
+    options: Namespace, fleet: Fleet, robots: Sequence[str] | None, work: Callable[[Sessions], Awaitable[Result]]
+) -> Result:
+    """Run `work` with sessions on the hosts of `robots`, or of all robots. Raises Failure."""
+    hosts, how = fleet_hosts(fleet, options.fleet, robots), connection(options)
+
+    async def run() -> Result:
+        async with sessions(hosts, how, archive()) as opened:
+            return await work(opened)
+
+    return asyncio.run(run())
+
+
+def _chosen(fleet: Fleet, robots: Sequence[str]) -> Sequence[str] | None:
+    """Return the robots that the command names, None for all. Raises Failure for a name that is no robot's."""
+    known = [robot.name for robot in fleet.robots]
+    if strange := [name for name in robots if name not in known]:
+        near = nearest(strange[0], known)
+        help = (f"did you mean {near}? " if near else "") + f"the robots are {', '.join(known)}"
+        raise console.Failure(console.USAGE, f"no robot {strange[0]!r} is in the fleet file", help)
+    return robots or None
+
+
+def _ended(done: Done, help: str) -> int:
+    if done.failed:
+        raise console.Failure(status_of(done.failed), describe(done.failed), help)
+    return console.HOLDS
+
+
+def _names(fleet: Fleet, robots: Sequence[str]) -> str:
+    return ", ".join(robot.name for robot in fleet.robots if robot.name in robots)
+
+
+def _join(*parts: str) -> str:
+    return "; ".join(filter(None, parts))
+
+
+def _shown(text: str) -> str:
+    """Return a robot's text without the control characters with which it could write over the terminal."""
+    return "".join(c if c.isprintable() else " " if c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in text)

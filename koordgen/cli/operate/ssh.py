@@ -1,0 +1,60 @@
+"""Common part of commands that reach robots by SSH: the fleet's hosts, connections, and failures."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from koordgen.cli.base import console
+
+if TYPE_CHECKING:
+    from koordgen.fleet.file import Fleet
+    from koordgen.operate.hosts import Host, HostError, Options
+
+UNREACHABLE = ("unreachable", "unknown key", "changed key", "refused key", "settings", "link")  # codes of HostError
+
+
+def read_fleet(path: str) -> Fleet:
+    """Read a fleet file without its program. Raises Rejected."""
+    from koordgen.build import pipeline
+    from koordgen.fleet import manifest
+
+    return pipeline.read_fleet(path, {name: manifest.load(name) for name in manifest.available()}, None)[0]
+
+
+def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
+    """Return the hosts of a fleet file's robots (or of some only). Raises Failure when a robot has none, or asyncssh is
+    missing."""
+    from koordgen.operate.hosts import NoHosts, hosts_of, require_asyncssh
+
+    try:
+        require_asyncssh()
+        return hosts_of(fleet, robots)
+    except NoHosts as error:
+        if error.is_file_wrong:
+            raise console.Failure(console.WRONG, f"{path}: {error}", error.help) from None
+        raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
+
+
+def connection(options: Namespace) -> Options:
+    """Return how to connect, from the options of the group ssh. Raises Failure when a file is missing."""
+    from koordgen.operate.hosts import Options
+
+    for path in (options.ssh_config, options.known_hosts, options.identity):
+        if path is not None and not Path(path).is_file():
+            raise console.Failure(
+                console.WRONG, f"{path}: no such file", "look at --ssh-config, --known-hosts and --identity"
+            )
+    return Options(options.ssh_config, options.known_hosts, options.identity)
+
+
+def describe(errors: Iterable[HostError]) -> str:
+    """Return one line for each error, with its way out below it."""
+    return "\n".join(f"{error}" + (f"\n  help: {error.help}" if error.help else "") for error in errors)
+
+
+def status_of(errors: Iterable[HostError]) -> int:
+    """Return the exit status: SURROUNDINGS when a host was not reached, else WRONG."""
+    return console.SURROUNDINGS if any(error.code in UNREACHABLE for error in errors) else console.WRONG

@@ -1,0 +1,101 @@
+"""`koordgen status`: the table of a fleet's robots, once or again and again."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from koordgen.cli.base import console
+from koordgen.operate.estop import CannotStop, find_fleet, find_key
+from koordgen.operate.status import Asked, ask_all, odd_releases, table, to_json, with_hosts
+
+if TYPE_CHECKING:
+    from koordgen.operate.hosts import Host
+
+_EVERY = 1.0  # seconds from one table to the next
+
+
+def status(options: Namespace) -> int:
+    """Ask the fleet and print the answers; the status says whether all robots answered and are of one release."""
+    try:
+        fleet = find_fleet(Path(options.fleet), console.say)
+        key = find_key(fleet, options.fleet, options.key, console.say)
+    except CannotStop as error:
+        raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
+    while True:
+        began = time.monotonic()
+        answers = _ask_hosts(options, ask_all(fleet, key))
+        if options.watch and options.format == "text" and sys.stdout.isatty():
+            print("\x1b[H\x1b[2J", end="")  # cursor home, then clear the screen
+        print(to_json(answers) if options.format == "json" else table(answers), flush=True)
+        if not options.watch:
+            return _verdict(options, answers)
+        time.sleep(max(0.0, began + _EVERY - time.monotonic()))
+
+
+def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
+    """Return the answers with what the hosts of silent robots say over SSH, where the fleet file names hosts."""
+    silent = [each.place.name for each in answers if each.report is None]
+    hosts = _hosts_of(options, silent) if silent else ()
+    if not hosts:
+        return answers
+    from koordgen.cli.operate.ssh import connection
+    from koordgen.operate.host_tool_archive import archive
+    from koordgen.operate.hosts import NoHosts, sessions
+    from koordgen.operate.installed import installed
+
+    async def ask() -> list[Asked]:
+        async with sessions(hosts, connection(options), archive()) as opened:
+            found, failed = await installed(opened)
+        return with_hosts(answers, found, {robot: error.message for robot, error in failed.items()})
+
+    try:
+        return asyncio.run(ask())
+    except NoHosts as error:
+        console.say(f"warning: the hosts of {', '.join(silent)} were not asked over SSH: {error}\n  help: {error.help}")
+        return answers
+
+
+def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
+    """Return the hosts of robots as far as the fleet file names any. A file that only its addresses can be read of, or
+    a folder of bundles, names none."""
+    from koordgen.build.pipeline import Rejected
+    from koordgen.cli.operate.ssh import read_fleet
+    from koordgen.operate.hosts import hosts_of
+
+    if Path(options.fleet).is_dir():
+        return ()
+    try:
+        fleet = read_fleet(options.fleet)
+    except Rejected:
+        return ()
+    named = [robot.name for robot in fleet.robots if robot.login is not None and robot.name in robots]
+    return hosts_of(fleet, named)
+
+
+def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
+    if odd := odd_releases(answers):
+        help = "build once with one fleet file, and copy every robot's bundle; `koordgen deploy` does both"
+        raise console.Failure(_silent_status(answers), f"another release than the rest: {', '.join(odd)}", help)
+    silent = [each for each in answers if each.report is None]
+    if silent and all(each.host is not None and each.host.release and not each.host.running for each in silent):
+        help = f"`koordgen start {options.fleet}` starts the agents"
+        raise console.Failure(console.SURROUNDINGS, f"the agents of {_names(silent)} do not run", help)
+    if silent:
+        help = "are their computers on, and do their agents run? `python3 BUNDLE --status` asks on the robot itself"
+        raise console.Failure(console.SURROUNDINGS, f"no answer from {_names(silent)}", help)
+    return console.HOLDS
+
+
+def _silent_status(answers: Sequence[Asked]) -> int:
+    """A robot that gave no answer weighs more than one with another release, as far as nothing is known of it."""
+    return console.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else console.WRONG
+
+
+def _names(answers: Sequence[Asked]) -> str:
+    return ", ".join(each.place.name for each in answers)

@@ -1,0 +1,88 @@
+"""`koordgen replay`: what is asked, what is printed, and the exit status."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from koordgen.cli.base.alarm import alarm
+from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, say
+from koordgen.cli.base.traced import program_of
+from koordgen.lang.semantics.deadline import OutOfTime
+from koordgen.verify.replay.fleet import replayed
+from koordgen.verify.replay.functions import CannotCall, externs
+from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
+from koordgen.verify.replay.trace import BadTrace, Trace, opened
+
+MOST_TOLD = 20
+LONGEST = 200  # characters of a value
+
+
+def replay(options: Namespace) -> int:
+    """The whole command."""
+    path = Path(options.trace)
+    path = path / "trace.jsonl" if path.is_dir() else path
+    counts, found, ended = Counts(), list[Difference](), False
+    try:
+        trace = opened(path)
+        path = trace.path
+        program, functions = program_of(options, trace.path, trace.program_hash)
+        again = replayed(program, externs(program, functions), trace, counts)
+        try:
+            with alarm(options.seconds):
+                for difference in again:
+                    found.append(difference)
+        except OutOfTime:
+            ended = True
+    except BadTrace as error:
+        raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
+    except Unreplayable as error:
+        raise Failure(
+            WRONG, f"{trace.place(error.number)}: {error.why}", "what this trace says is not enough to replay it"
+        ) from None
+    except CannotCall as error:
+        raise Failure(WRONG, str(error), "name it with --functions") from None
+    for difference in found[:MOST_TOLD]:
+        say(_told(difference, trace))
+    if len(found) > MOST_TOLD:
+        say(f"... and {len(found) - MOST_TOLD} more")
+    late = f", {counts.late} that overran left aside" if counts.late else ""
+    if counts.violated:
+        where = f"{_count(counts.violated, 'event')}"
+        say(f"note: a loop invariant was false in {where}, as the program means: `koordgen audit` says which")
+    robots = 1 if trace.own else len(trace.robots)
+    what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
+    if trace.cut:
+        say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
+    if trace.since:
+        say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
+    if ended:
+        say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
+    if found:
+        print(f"{path}: {what}: {_count(len(found), 'difference')}")
+        return VIOLATED
+    if ended:
+        print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference until then")
+        return INCONCLUSIVE
+    print(f"{path}: {what}: as the program means")
+    return HOLDS
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def _told(found: Difference, trace: Trace) -> str:
+    name = trace.robots[found.pid]
+    when = f"round {found.round}" if found.round else "init"
+    return (
+        f"{trace.place(found.number)}: {when}, robot {name}: {found.what} is {_shown(found.told)} in the trace, "
+        f"{_shown(found.meant)} by the program"
+    )
+
+
+def _shown(value: Any) -> str:
+    text = "nothing" if value is None else value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."

@@ -1,0 +1,148 @@
+"""Carries a plan out: hands runs to the crew, writes down what came of them, and ends in order whatever happens."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from dataclasses import replace
+from pathlib import Path
+
+from koordgen.experiment.campaign import plots, store, table
+from koordgen.experiment.campaign.crew import Crew, Unreachable
+from koordgen.experiment.campaign.plan import Run
+from koordgen.experiment.campaign.store import FULL, Result, Store
+from koordgen.experiment.campaign.task import Job, Stopped
+
+LOOK = 0.5  # seconds between two looks
+Build = Callable[[Mapping[str, str], Path], None]
+
+
+class DiskFull(Exception):
+    """Nothing more can be written; what was finished stands."""
+
+
+class Bundles:
+    """The bundles of a campaign: one for all runs, and one for each combination of varied params, made when its first
+    run begins and removed after its last. `build` writes one with these params into a folder; `name` is the folder of
+    the bundle itself within."""
+
+    def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[Run]) -> None:
+        self._folder, self._name, self._build = folder, name, build
+        self._left = Counter(_key(run.params) for run in runs)
+        self._made: dict[tuple[tuple[str, str], ...], Path] = {}
+
+    def of(self, run: Run) -> Path:
+        """The bundle of a run. Raises what `build` raises."""
+        key = _key(run.params)
+        if key not in self._made:
+            own = self._folder / str(len(self._made))
+            self._build(run.params, own)
+            self._made[key] = own
+        return self._made[key] / self._name
+
+    def done(self, run: Run) -> None:
+        """A run needs its bundle no longer."""
+        key = _key(run.params)
+        self._left[key] -= 1
+        if not self._left[key]:
+            shutil.rmtree(self._made[key], ignore_errors=True)
+
+
+def _key(params: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    return tuple(sorted(params.items()))
+
+
+def carry_out(
+    runs: Sequence[Run],
+    kept: Store,
+    crew: Crew,
+    bundles: Bundles,
+    job: Callable[[Run], Job],
+    tell: Callable[[str], None],
+    interrupted: Callable[[], bool],
+) -> None:
+    """Execute the runs that are not finished. Raises DiskFull, Unreachable, and KeyboardInterrupt when it finds itself
+    interrupted; whatever it raises, the crew rests and what was finished is written down."""
+    waiting = deque(run for run in runs if run.number not in kept.results)
+    progress = Progress(len(runs), kept)
+    under_way: dict[Future[Result], Run] = {}
+    try:
+        while waiting or under_way:
+            while waiting and len(under_way) < crew.width:
+                run = waiting.popleft()
+                future = crew.submit(job(run), bundles.of(run), kept.run_folder(run.name))
+                under_way[future] = run
+            finished, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
+            for future in finished:
+                run = under_way.pop(future)
+                _take(kept, run, future)
+                bundles.done(run)
+            tell(progress.text())
+            if interrupted():
+                raise KeyboardInterrupt
+    except OSError as error:
+        if error.errno in FULL:
+            raise DiskFull from None
+        raise
+    finally:
+        crew.stop()
+
+
+def _take(kept: Store, run: Run, future: Future[Result]) -> None:
+    try:
+        result = future.result()
+    except (Stopped, CancelledError, Unreachable):
+        raise
+    except OSError as error:
+        if error.errno in FULL:
+            raise
+        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+    except Exception as error:  # a worker that died, a result that could not be sent
+        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+    if result.outcome == "failed" and kept.full():
+        raise DiskFull
+    kept.add(replace(result, varied=dict(run.varied)))
+
+
+class Progress:
+    """How far it is, and how long it will take: by the time that the runs of this session took."""
+
+    def __init__(self, total: int, kept: Store) -> None:
+        self._total, self._kept = total, kept
+        self._before = len(kept.results)
+        self._began = time.monotonic()
+
+    def text(self) -> str:
+        results = self._kept.results.values()
+        done = len(results)
+        parts = [f"{done} of {self._total} runs"]
+        for outcome, said in (("violated", "violated"), ("failed", "did not run")):
+            if count := sum(r.outcome == outcome for r in results):
+                parts.append(f"{count} {said}")
+        fresh, passed = done - self._before, time.monotonic() - self._began
+        if fresh:
+            parts.append(f"{_clock(passed / fresh * (self._total - done))} to go")
+        return ", ".join(parts)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def write_table(kept: Store, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
+    """`campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of what is finished; the text. Raises
+    OSError."""
+    results = [kept.results[number] for number in sorted(kept.results)]
+    found = table.document(app, planned, results, cells)
+    text = table.as_text(found)
+    store.replace(kept.folder / "campaign.json", json.dumps(found, indent=2) + "\n")
+    store.replace(kept.folder / "campaign.csv", table.as_csv(results))
+    store.replace(kept.folder / "campaign.txt", text)
+    plots.draw(results, kept.folder / "plots")
+    return text

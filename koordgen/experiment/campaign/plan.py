@@ -1,0 +1,92 @@
+"""The plan of a campaign: every run with all that tells it from the others, known before the first one begins."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from koordgen.experiment.campaign import vary
+
+FORMAT = "koord-campaign/1"
+CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run. `varied` is what the user varies, by name; `params` of the program go into its bundle, `settings` of
+    the harness into a file, `flags` on its command line."""
+
+    number: int
+    varied: Mapping[str, str]
+    params: Mapping[str, str]
+    settings: Mapping[str, str]
+    flags: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.number:04d}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a campaign is made of. `bundle` is the digest of the bundle as it is built without varied params, `verdict`
+    that of the script that judges runs, "" without one; `fixed` are flags of every run; `what`, what they
+    are made for."""
+
+    app: str
+    bundle: str
+    verdict: str
+    fixed: tuple[str, ...]
+    vary: tuple[str, ...]
+    runs: int
+    what: str = CAMPAIGN
+
+    def json(self) -> dict[str, Any]:
+        """As it is stored."""
+        return {"format": FORMAT, **asdict(self), "fixed": list(self.fixed), "vary": list(self.vary)}
+
+
+def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[Run]:
+    """The runs of a plan. `settings` are the names that the harness has settings for. Raises BadVary."""
+    found = []
+    for number, own in enumerate(vary.values(varied, count)):
+        params = {n.removeprefix(vary.PARAM): v for n, v in own.items() if n.startswith(vary.PARAM)}
+        of_harness = {n: v for n, v in own.items() if n in settings}
+        flags = {n: v for n, v in own.items() if not n.startswith(vary.PARAM) and n not in of_harness}
+        found.append(Run(number, own, params, of_harness, flags))
+    return found
+
+
+# What a difference in the stored plan's fields means to a user.
+_CHANGED = {
+    "app": "the program is another",
+    "bundle": "the program, the fleet file or koordgen has changed since",
+    "verdict": "the verdict's script has changed since",
+    "fixed": "the runs' options are others",
+    "vary": "other things are varied",
+    "runs": "it has another number of runs",
+}
+
+
+def made_for(stored: Mapping[str, Any]) -> str:
+    """What the runs of a stored plan are made for."""
+    what = stored.get("what")
+    return what if what in (VALIDATION, PROBES) else CAMPAIGN
+
+
+def difference(stored: Mapping[str, Any], wanted: Plan) -> str:
+    """Why a stored plan is not the wanted one; "" when it is."""
+    if stored.get("format") != FORMAT:
+        return f"its plan has not the format {FORMAT}"
+    asked = wanted.json()
+    for key, meaning in _CHANGED.items():
+        if (value := asked[key]) != stored.get(key):
+            shown = "" if key in ("bundle", "verdict") else f": {_told(stored.get(key))}, not {_told(value)}"
+            return f"{meaning}{shown}"
+    return ""
+
+
+def _told(value: Any) -> str:
+    return " ".join(value) or "none" if isinstance(value, list) else str(value)

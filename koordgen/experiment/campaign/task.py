@@ -1,0 +1,163 @@
+"""One run, wherever it is executed: the bundle's own command, its summary, and the verdict of the user's script.
+
+This file is also what a worker of a cluster runs, so it stands alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from koordgen.experiment.campaign.store import Result
+
+HELD, VIOLATED = 0, 3  # exit statuses of a bundle
+POLL = 0.05  # seconds
+PATIENCE = 10.0  # seconds from asking a run to end until it is killed
+MOST_SHOWN = 300  # characters of a reason
+
+
+class Stopped(Exception):
+    """The campaign ends; the run was ended with it and counts for nothing."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be run. `flags` are the bundle's own; `settings` of its harness are laid over its scenario's;
+    `verdict` is a script that gets the run's folder, "" without one."""
+
+    number: int
+    varied: Mapping[str, str]
+    flags: tuple[str, ...]
+    settings: Mapping[str, Any]
+    verdict: str
+    gentle: bool  # leave the computer to others
+    scenario: str = ""  # what goes wrong in the run, as JSON; "" when nothing does
+
+
+def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> Result:
+    """Run it and judge it. `folder` gets what the run writes, and beside it stand its settings and its scenario. Raises
+    Stopped, OSError."""
+    command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
+    own = folder.with_name(f"{folder.name}.settings.json")
+    if job.settings:
+        own.write_text(json.dumps(dict(job.settings)), encoding="utf-8")
+        command.append(f"--settings={own}")
+    if job.scenario:
+        scenario = folder.with_name(f"{folder.name}.scenario.json")
+        scenario.write_text(job.scenario, encoding="utf-8")
+        command.append(f"--scenario={scenario}")
+    began = time.monotonic()
+    status, told = watched(_gently(command) if job.gentle else command, stopped)
+    wall = round(time.monotonic() - began, 3)
+    if status not in (HELD, VIOLATED):
+        return Result(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
+    result = _summarised(job, status, _summary(folder / "summary.json"), wall)
+    return _judged(result, job.verdict, folder, stopped) if job.verdict else result
+
+
+def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
+    """Run a command to its end: its status, and what it said. It is asked to end when the campaign does. Raises
+    Stopped."""
+    # In a group of its own: a terminal's Ctrl-C is ours to pass on.
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
+    ) as child:
+        while True:
+            try:
+                told, _ = child.communicate(timeout=POLL)
+            except subprocess.TimeoutExpired:
+                if not stopped():
+                    continue
+                _end(child)
+                raise Stopped from None
+            return child.returncode, told.decode("utf-8", "replace")
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """Twice: a run that is asked once brings its robots to rest, and writes a report."""
+    for _ in range(2):
+        child.terminate()
+        try:
+            child.communicate(timeout=0.5)
+            return
+        except subprocess.TimeoutExpired:
+            continue
+    try:
+        child.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.communicate()
+
+
+def _gently(command: list[str]) -> list[str]:
+    nice = shutil.which("nice")
+    return [nice, "-n", "10", *command] if nice else command
+
+
+def _why_not(status: int, told: str) -> str:
+    lines = [line.strip() for line in told.splitlines() if line.strip()]
+    said = next((line for line in lines if line.startswith("error:")), lines[-1] if lines else "it said nothing")
+    how = f"killed by signal {-status}" if status < 0 else f"status {status}"
+    return f"{how}: {said}"[:MOST_SHOWN]
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> Result:
+    violations = summary.get("violations") or [{}]
+    separation = (summary.get("min_separation") or {}).get("distance")
+    late = [robot.get("late_rounds", 0) for robot in summary.get("robots", [])]
+    return Result(
+        job.number,
+        dict(job.varied),
+        "held" if status == HELD else "violated",
+        "" if status == HELD else str(summary.get("why") or "no summary")[:MOST_SHOWN],
+        str(violations[0].get("what", "")) if status == VIOLATED else "",
+        summary.get("duration"),
+        separation,
+        sum(late) if late else None,
+        wall,
+    )
+
+
+def _judged(result: Result, script: str, folder: Path, stopped: Callable[[], bool]) -> Result:
+    """The script's status is 0, or the run is violated and its last line says why; numbers of a last line that is a
+    JSON object are figures of the run."""
+    status, told = watched([sys.executable, script, str(folder)], stopped)
+    lines = [line.strip() for line in told.splitlines() if line.strip()]
+    figures = _figures(lines[-1]) if lines else None
+    if figures is not None:
+        lines.pop()
+    result = replace(result, figures=figures or {})
+    if status == 0 or result.outcome != "held":
+        return result
+    why = lines[-1] if lines else f"{script} ended with status {status} and said nothing"
+    return replace(result, outcome="violated", why=why[:MOST_SHOWN], what="verdict")
+
+
+def _figures(line: str) -> dict[str, float] | None:
+    try:
+        value = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(value, dict):
+        return None
+    return {
+        str(k): float(v)
+        for k, v in value.items()
+        if isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
+    }

@@ -1,0 +1,108 @@
+"""Pictures of reachsets: from above, and along the offset over time, one platform beside the other at one scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koordgen.experiment.validate.tube import Reachset, above
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito, Color Universal Design (2008): told apart by those who see few colours, and darker where it matters.
+TUBE, EDGE, WAY, START, GOAL = "#CFE5F3", "#0072B2", "#444444", "#009E73", "#D55E00"
+DASHED = (0, (4, 3))
+INCHES = 5.2  # a column is wide
+MARGIN = 0.06  # of the picture's extent
+
+
+def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
+    """One column for each, above x and y, below the way along the offset over time; all with the same scales. Raises
+    ValueError without any, OSError."""
+    from matplotlib.figure import Figure
+
+    if not reachsets:
+        raise ValueError("there is no reachset to draw")
+    (x0, y0), (x1, y1) = _extent(reachsets)
+    tall = min(max(INCHES * (y1 - y0) / (x1 - x0), 1.6), 1.4 * INCHES)
+    figure = Figure(figsize=(INCHES * len(reachsets), tall + 3.9), layout="constrained")
+    grid = figure.subplots(2, len(reachsets), squeeze=False, sharex="row", sharey="row", height_ratios=[tall, 2.6])
+    for found, top, along in zip(reachsets, *grid, strict=True):
+        _from_above(top, found)
+        _along(along, found)
+        top.set(xlim=(x0, x1), ylim=(y0, y1))
+        top.set_aspect("equal", adjustable="box")
+        top.set_title(_title(found), fontsize=10)
+        top.set_xlabel("x (east), m")
+        along.set_xlabel("time since the target came, s")
+    grid[0][0].set_ylabel("y (north), m")
+    grid[1][0].set_ylabel("along the offset, m")
+    handles, labels = grid[0][0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=5 if len(reachsets) > 1 else 3, fontsize=8.5, frameon=False
+    )
+    figure.savefig(file, dpi=110)
+    return file
+
+
+def _title(found: Reachset) -> str:
+    past = f"{'reaches' if found.overshoot > 0 else 'stays'} {abs(found.overshoot):.2f} m "
+    past += f"{'beyond' if found.overshoot > 0 else 'before'} the target"
+    new = f"{found.covered:.1%} of {found.samples[2]} new ways inside (claimed: {1 - found.epsilon:.0%})"
+    return f"{found.platform}: {past}\n{new}"
+
+
+def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The corners in x and y of what all have in them."""
+    every = np.vstack([np.vstack([_corners(f).reshape(-1, 2), np.zeros(2), f.offset[:2]]) for f in reachsets])
+    low, high = every.min(axis=0), every.max(axis=0)
+    room = MARGIN * float((high - low).max())
+    return low - room, high + room
+
+
+def _corners(found: Reachset) -> NDArray[np.float64]:
+    """Of each box, seen from above: (J, 4, 2)."""
+    u, left = (axis[:2] for axis in above(found.offset))
+    return found.ahead[:, [0, 1, 1, 0], None] * u + found.aside[:, [0, 0, 1, 1], None] * left
+
+
+def _from_above(axes: Axes, found: Reachset) -> None:
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle, Polygon, Rectangle
+
+    boxes = [Polygon(corners) for corners in _corners(found)]
+    # The edges of all first: what is left of them below the faces is the outline of the union.
+    axes.add_collection(PatchCollection(boxes, facecolor=EDGE, edgecolor=EDGE, linewidth=2.0, zorder=1))
+    axes.add_collection(PatchCollection(boxes, facecolor=TUBE, edgecolor="none", linewidth=0, zorder=2))
+    for k, way in enumerate(found.ways):
+        axes.plot(way[:, 0], way[:, 1], color=WAY, linewidth=0.7, zorder=3, label="" if k else "samples")
+    x, y = found.offset[:2]
+    axes.add_patch(Circle((0, 0), found.start.radius, fill=False, color=START, linewidth=2, zorder=5, label="starts"))
+    axes.add_patch(
+        Rectangle((min(0, x), min(0, y)), abs(x), abs(y), fill=False, color="black", linestyle=DASHED, linewidth=1.4,
+                  zorder=4, label="Rect(position, target)")
+    )  # fmt: skip
+    axes.plot(
+        x, y, marker="X", markersize=10, color=GOAL, markeredgecolor="white", linestyle="", zorder=6, label="target"
+    )
+    axes.fill([np.nan], [np.nan], facecolor=TUBE, edgecolor=EDGE, label="reachset")
+    axes.grid(alpha=0.25)
+
+
+def _along(axes: Axes, found: Reachset) -> None:
+    goal, u = math.hypot(*found.offset[:2]), above(found.offset)[0]
+    low, high = found.ahead.T
+    axes.stairs(high, found.edges, baseline=low, fill=True, facecolor=TUBE, edgecolor=EDGE, linewidth=1.0, zorder=2)
+    for way in found.ways:
+        axes.plot(found.edges, way @ u, color=WAY, linewidth=0.7, zorder=3)
+    axes.axhline(goal, color=GOAL, linewidth=1.4, zorder=4)
+    axes.axhline(0, color="black", linestyle=DASHED, linewidth=1.0, zorder=1)
+    axes.axhline(goal, color="black", linestyle=DASHED, linewidth=1.0, zorder=5)
+    axes.set_xlim(found.edges[0], found.edges[-1])
+    axes.grid(alpha=0.25)

@@ -1,0 +1,84 @@
+"""The picture of a validation: how far outside the box between place and target bodies were, window by window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from koordgen.experiment.validate.breach import Breach, Kind
+from koordgen.experiment.validate.samples import Sample
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS: dict[Kind, str] = {"overshoot": "#c0392b", "across": "#2471a3", "away": "#8e44ad", "drift": "#909497"}
+KINDS: tuple[Kind, ...] = get_args(Kind)
+LEAST = 1e-4  # metres: what is less is drawn there
+BINS = 40
+
+
+def draw(samples: Sequence[Sample], title: str, path: Path) -> bool:
+    """A row for each platform: on the left every window by when it began, on the right how many reach how far, and the
+    farthest of each run. False, and no picture, where no run says where bodies went. Raises OSError."""
+    from matplotlib.figure import Figure
+
+    platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []
+    if not platforms:
+        return False
+    figure = Figure(figsize=(11, 0.9 + 3.0 * len(platforms)), layout="constrained")
+    rows = figure.subplots(len(platforms), 2, squeeze=False, sharex="col", sharey=True, width_ratios=(3, 1))
+    for (over_time, counted), platform in zip(rows, platforms, strict=True):
+        own = [[b for b in sample.breaches if sample.platforms[b.pid] == platform] for sample in samples]  # by run
+        _over_time(over_time, own, f"{platform}: {_said(own)}")
+        _counted(counted, own)
+    rows[-1][0].set_xlabel("beginning of the window, s since round 1")
+    rows[-1][1].set_xlabel("windows")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=110)
+    return True
+
+
+def _moved(samples: Sequence[Sample]) -> bool:
+    return any(sample.reach for sample in samples)
+
+
+def _said(own: Sequence[Sequence[Breach]]) -> str:
+    distances = [b.distance for run in own for b in run]
+    if not distances:
+        return "never outside"
+    runs = sum(bool(run) for run in own)
+    return f"{len(distances)} windows outside in {runs} of {len(own)} runs, at most {max(distances):.3f} m"
+
+
+def _over_time(axes: Axes, own: Sequence[Sequence[Breach]], title: str) -> None:
+    for kind in KINDS:
+        found = [b for run in own for b in run if b.kind == kind]
+        if found:
+            axes.scatter(
+                [b.at for b in found], [max(b.distance, LEAST) for b in found], s=7, c=COLOURS[kind],
+                alpha=min(0.8, max(0.15, 600 / len(found))), linewidths=0,
+            )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=LEAST * 0.8)
+    axes.set_ylabel("outside the box, m")
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.grid(alpha=0.3)
+
+
+def _counted(axes: Axes, own: Sequence[Sequence[Breach]]) -> None:
+    drawn = [kind for kind in KINDS if any(b.kind == kind for run in own for b in run)]
+    values = [[max(b.distance, LEAST) for run in own for b in run if b.kind == kind] for kind in drawn]
+    if drawn:
+        most = max(map(max, values)) * 1.01
+        steps = [LEAST * (most / LEAST) ** (k / BINS) for k in range(BINS + 1)]
+        axes.hist(
+            values, bins=steps, orientation="horizontal", stacked=True, color=[COLOURS[kind] for kind in drawn],
+            label=[f"{kind} ({len(own)})" for kind, own in zip(drawn, values, strict=True)],
+        )  # fmt: skip
+        axes.legend(loc="center right", fontsize=8)
+    for run in own:
+        if run:
+            axes.axhline(max(b.distance for b in run), xmin=0.94, color="black", linewidth=0.6)
+    axes.set_title("how many; black: each run's farthest", fontsize=9, loc="left")
+    axes.grid(alpha=0.3)

@@ -1,0 +1,318 @@
+"""Probes: runs in which robots of one platform, far apart, are sent from drawn starts to a target at a given offset.
+
+A small Koord program and a fleet are written for it, built by the ordinary pipeline and run in lockstep as a campaign's
+runs are. Frames: local ENU, metres; a sample's own frame has its origin at the nominal start, so that the target is at
+the offset and the start within `Start.radius` of the origin. There is nothing else in a probe's world.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from koordgen.build.bundle.drivers import find
+from koordgen.build.bundle.write import write
+from koordgen.build.pipeline import plan_file, read_fleet
+from koordgen.experiment.campaign import drive, store
+from koordgen.experiment.campaign.crew import Crew
+from koordgen.experiment.campaign.plan import PROBES, Plan, Run
+from koordgen.experiment.campaign.task import Job
+from koordgen.fleet import manifest
+from koordgen.fleet.file import own_classes
+from koordgen.fleet.manifest import Target
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+RATE = 240  # poses a second: every step of the world
+STATE = 0.05  # seconds before and after the start over which its velocity is taken
+MOST_ROBOTS = 100  # of one probe's run
+KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # of the user's fleet file, as they stand there
+WEATHER = ("floor_friction", "wind")  # of its world
+PROGRAM = """\
+# A probe: each robot runs up towards a first target, and then gets the one on its way to which it is looked at.
+
+param List<Point> first max 128 = []
+param List<Point> shift max 128 = []  # from where it is then to the second
+param List<int> last max 128 = []  # round
+
+using Motion:
+  sensors: Point position
+  actuators: Point target
+
+local: int now = 0
+
+RunUp:
+  pre: now == 0
+  eff:
+    now = 1
+    if pid < len(first):
+      Motion.target = first[pid]
+
+Wait:
+  pre: 0 < now and pid < len(last) and now < last[pid]
+  eff: now = now + 1
+
+Go:
+  pre: 0 < now and pid < len(last) and now == last[pid]
+  eff:
+    now = now + 1
+    if pid < len(shift):
+      Motion.target = Motion.position + shift[pid]
+"""
+
+
+class BadProbe(Exception):
+    """What cannot be probed, or did not run; `help` says the way out."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.help = help
+
+
+@dataclass(frozen=True)
+class Start:
+    """The set of starts. When the target comes, the robot is within `radius` (m, in x and y) of the nominal start,
+    evenly, and for a time drawn from `after` (s) it has been on its way to a first target, `run_up` m away in a
+    direction that is within `turn` (rad) of the offset's; with `run_up` 0 it stands."""
+
+    radius: float = 0.1
+    turn: float = 0.1
+    run_up: float = 4.0
+    after: tuple[float, float] = (0.5, 2.5)
+
+
+@dataclass(frozen=True)
+class Platform:
+    """Robots of one kind in a fleet file: same target, settings and simulation. `robot` is what the file says of one,
+    `common` what it says of all that matters here, `beside` the user's own classes by their path in bundles."""
+
+    name: str
+    target: str
+    fidelity: str
+    delta: float
+    robot: Mapping[str, Any]
+    common: Mapping[str, Any]
+    beside: Mapping[str, Path]
+    height: tuple[float, float]  # of the geofence: its lowest and its highest z
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What is sampled: `count` robots, `robots` of them in a run, are looked at for `seconds` on their way to a target
+    at `offset` (m, ENU)."""
+
+    platform: Platform
+    offset: Vector
+    count: int
+    seconds: float
+    start: Start = Start()
+    robots: int = 16
+    seed: int = 0
+
+    @property
+    def parts(self) -> int:
+        """Runs that it takes."""
+        return math.ceil(self.count / self.robots)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Of each of its runs."""
+        passed = math.ceil(self.start.after[1] / self.platform.delta) + 2
+        duration = passed * self.platform.delta + self.seconds + STATE
+        return (f"--duration={duration:g}", "--lockstep", "--no-report")
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What was seen of a probe: `times` (T,) s since the target came; `positions` (n, T, 3) m in the samples' frame;
+    `starts` (n, 7): position (m), velocity (m/s, ENU) and yaw (rad)."""
+
+    probe: Probe
+    times: Array
+    positions: Array
+    starts: Array
+
+
+def _harness() -> Target:
+    return next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
+
+
+def platforms(fleet_file: str) -> dict[str, Platform]:
+    """The platforms of a fleet file by name: target and fidelity, and where several differ in settings alone, the first
+    robot of each. Raises Rejected, ManifestError."""
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    harness = _harness()
+    fleet, _ = read_fleet(fleet_file, targets, None)
+    raw = yaml.safe_load(Path(fleet_file).read_text(encoding="utf-8"))
+    common = {key: raw[key] for key in KEPT if key in raw}
+    common["world"] = {key: value for key, value in (raw.get("world") or {}).items() if key in WEATHER}
+    common[harness.name] = dict(raw.get(harness.name) or {})
+    beside = {path: find(path, [Path(fleet_file).parent]) for path in own_classes(fleet, targets)}
+    heights = fleet.geofence["lo"][2], fleet.geofence["hi"][2]
+    kinds: dict[str, list[Platform]] = {}
+    seen: list[tuple[str, Any, Any]] = []
+    for robot, entry in zip(fleet.robots, raw["robots"], strict=True):
+        if (robot.target, robot.settings, robot.harness) in seen:
+            continue
+        seen.append((robot.target, robot.settings, robot.harness))
+        own = {key: entry[key] for key in ("target", "settings", harness.name) if entry.get(key)}
+        own["start"] = {"position": list(robot.start["position"])}
+        fidelity = robot.harness.get(harness.name, {}).get("fidelity") or fleet.harness[harness.name]["fidelity"]
+        found = Platform(robot.name, robot.target, fidelity, fleet.delta, own, common, beside, heights)
+        kinds.setdefault(f"{robot.target} {fidelity}", []).append(found)
+    several = {f"{name} ({one.name})": one for name, kind in kinds.items() if len(kind) > 1 for one in kind}
+    named = {name: kind[0] for name, kind in kinds.items() if len(kind) == 1} | several
+    return {name: replace(platform, name=name) for name, platform in named.items()}
+
+
+def check(probe: Probe) -> None:
+    """Raises BadProbe for what cannot be probed."""
+    platform = probe.platform
+    target = manifest.load(platform.target)
+    if "Motion.position" not in target.sensors or "Motion.target" not in target.actuators:
+        raise BadProbe(f"{platform.name}: target {platform.target} has no Motion with a position and a target")
+    if platform.robot.get(_harness().name, {}).get("autopilot") == "external":
+        raise BadProbe(f"{platform.name} is flown by an external autopilot, which knows real time only")
+    if not 1 <= probe.robots <= MOST_ROBOTS:
+        raise BadProbe(f"{probe.robots} robots in a run; there may be 1 to {MOST_ROBOTS}")
+    if not any(probe.offset[:2]):
+        raise BadProbe(f"the offset {_told(probe.offset)} leads nowhere in x and y", "give another")
+
+
+def drawn(probe: Probe, part: int) -> dict[str, Any]:
+    """The fleet file of one of its runs, as plain values: all is drawn by the seed, the part and the robot."""
+    platform, start = probe.platform, probe.start
+    apart = 2 * (math.hypot(*probe.offset[:2]) + start.run_up) + 6.0
+    columns = math.ceil(math.sqrt(probe.robots))
+    ahead = math.atan2(probe.offset[1], probe.offset[0])
+    robots, first, shift, last = [], [], [], []
+    for k in range(min(probe.robots, probe.count - part * probe.robots)):
+        random = Random(f"{probe.seed}/{part}/{k}/probe")
+        x, y = apart * (k % columns), apart * (k // columns)
+        z = platform.robot["start"]["position"][2]
+        yaw = ahead + random.uniform(-start.turn, start.turn)
+        away, around = start.radius * math.sqrt(random.random()), random.uniform(0, math.tau)
+        after = random.uniform(*start.after)
+        first.append([x + start.run_up * math.cos(yaw), y + start.run_up * math.sin(yaw), z])
+        dx, dy, dz = probe.offset
+        shift.append([dx - away * math.cos(around), dy - away * math.sin(around), dz])
+        last.append(max(1, round(after / platform.delta)))
+        placed = {"position": [x, y, z], "yaw": math.remainder(yaw, math.tau)}
+        robots.append({**platform.robot, "name": f"r{k}", "address": f"127.0.0.1:{47100 + k}", "start": placed})
+    low, high = -apart, apart * columns
+    harness = _harness().name
+    quiet = {"min_separation": 0.0, "start_noise": 0.0, "idle_timeout": 0.0, "pose_rate": float(RATE)}
+    return {
+        **platform.common,
+        harness: {**platform.common[harness], **quiet},
+        "geofence": {"lo": [low, low, platform.height[0]], "hi": [high, high, platform.height[1]]},
+        "params": {"first": first, "shift": shift, "last": last},
+        "robots": robots,
+    }
+
+
+def built(probe: Probe, part: int, folder: Path) -> None:
+    """Writes program and fleet and builds their bundle into `folder`. Raises Rejected, CannotWrite, OSError."""
+    folder.mkdir(parents=True)
+    program, fleet = folder / "probe.koord", folder / "fleet.yaml"
+    program.write_text(PROGRAM, encoding="utf-8")
+    fleet.write_text(yaml.safe_dump(drawn(probe, part), sort_keys=False), encoding="utf-8")
+    for path, file in probe.platform.beside.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, folder / path)
+    harness = _harness().name
+    _, bundles = plan_file(str(program), [harness], str(fleet), {})
+    write({harness: bundles[harness]}, folder)
+
+
+def sampled(
+    probes: Sequence[Probe],
+    crew: Crew,
+    folder: Path,
+    tell: Callable[[str], None] = lambda _: None,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> list[Samples]:
+    """Carry all of their runs out in a new folder, as a campaign's. What a run left, some 10 MB, goes when its samples
+    are taken. Raises BadProbe for what cannot be probed or did not run, and what `drive.carry_out` raises."""
+    for probe in probes:
+        check(probe)
+    runs: list[Run] = []
+    owner: dict[int, tuple[Probe, int]] = {}
+    for index, probe in enumerate(probes):
+        for part in range(probe.parts):
+            told = {"platform": probe.platform.name, "offset": _told(probe.offset), "seed": str(probe.seed + part)}
+            owner[len(runs)] = probe, part
+            runs.append(Run(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
+
+    def build(params: Mapping[str, str], own: Path) -> None:
+        index, _, part = params["probe"].partition("/")
+        built(probes[int(index)], int(part), own)
+
+    def job(run: Run) -> Job:
+        return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
+
+    varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
+    plan = Plan("probe", "", "", (), varied, len(runs), PROBES)
+    with store.claimed(folder, plan, resume=False) as kept:
+        bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
+        drive.carry_out(runs, kept, crew, bundles, job, tell, interrupted)
+        for result in kept.results.values():
+            if result.outcome == "failed":
+                raise BadProbe(f"run {runs[result.run].name} of a probe did not run: {result.why}")
+        return [_gathered(probe, [r for r in runs if owner[r.number][0] is probe], kept) for probe in probes]
+
+
+def _told(offset: Vector) -> str:
+    return f"({', '.join(f'{v:g}' for v in offset)})"
+
+
+def _gathered(probe: Probe, runs: Sequence[Run], kept: store.Store) -> Samples:
+    times = np.arange(round(probe.seconds * RATE) + 1) / RATE
+    found: list[tuple[Array, Array]] = []
+    for run in runs:
+        found += _seen(kept.run_folder(run.name) / "trace.jsonl", probe, times)
+        shutil.rmtree(kept.run_folder(run.name), ignore_errors=True)
+    return Samples(probe, times, np.array([p for p, _ in found]), np.array([s for _, s in found]))
+
+
+def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
+    """Each robot's way and start, of one run. Raises BadProbe, OSError."""
+    poses: dict[int, list[tuple[float, ...]]] = {}
+    gone: dict[int, tuple[float, Sequence[float]]] = {}
+    with trace.open("rb") as file:
+        for line in file:
+            record = json.loads(line)
+            match record:
+                case {"kind": "pose", "t": t, "pid": pid, "position": [x, y, z], "yaw": yaw}:
+                    poses.setdefault(pid, []).append((t, x, y, z, yaw))
+                case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": {"Motion.target": target}}:
+                    gone[pid] = t, target
+    if missing := set(poses) - set(gone):
+        why = f"{trace}: robot {min(missing)} never came to its second target"
+        raise BadProbe(why, "look at the run's folder; its report is made by `koordgen report`")
+    return [_sample(np.array(poses[pid]), *gone[pid], probe.offset, times) for pid in sorted(poses)]
+
+
+def _sample(poses: Array, at: float, target: Sequence[float], offset: Vector, times: Array) -> tuple[Array, Array]:
+    t, yaw = poses[:, 0], np.unwrap(poses[:, 4])
+    if t[-1] < at + times[-1]:
+        raise BadProbe(f"a probe's run ended {at + times[-1] - t[-1]:.2f} s early")
+    origin = np.array(target) - np.array(offset)
+
+    def place(when: Array) -> Array:
+        found: Array = np.stack([np.interp(when, t, poses[:, axis]) for axis in (1, 2, 3)], axis=-1) - origin
+        return found
+
+    way = place(at + times)
+    velocity = (place(np.array([at + STATE])) - place(np.array([at - STATE])))[0] / (2 * STATE)
+    return way, np.array([*way[0], *velocity, float(np.interp(at, t, yaw))])

@@ -1,0 +1,134 @@
+"""What a run's `windows.jsonl` (targets/sim/windows.py) says of it: a sample."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from koordgen.experiment.validate.breach import Breach, Row, kind
+
+FORMAT, FILE = "koord-windows/1", "windows.jsonl"
+FINISHED = ("completed", "stopped")  # how a mission ends that was seen to its end
+HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One of the program: its module and line, and its place among the run's."""
+
+    index: int
+    module: str
+    line: int
+
+
+@dataclass
+class Seen:
+    """Of one assumption and robot in a run: windows by how they came out, when it was first violated (seconds since
+    round 1), and the breach in a violated window that went farthest."""
+
+    windows: Counter[str] = field(default_factory=Counter)
+    first: float | None = None
+    worst: Breach | None = None
+    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind
+    farthest: dict[str, float] = field(default_factory=dict)  # metres outside in one window, by kind
+    together: dict[str, float] = field(default_factory=dict)  # and in windows one after the other
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A run. `platforms` and `names` by pid; `far` and `reach`, by pid, are how far from its target a body was at most:
+    at moments outside of the box, and at any moment (metres)."""
+
+    run: int
+    seed: int
+    ended: str
+    body: str
+    names: tuple[str, ...]
+    platforms: tuple[str, ...]
+    assumptions: tuple[Assumption, ...]
+    unchecked: tuple[tuple[int, str], ...]  # line, why
+    seen: Mapping[tuple[int, int], Seen]
+    breaches: tuple[Breach, ...]
+    far: Mapping[int, float]
+    reach: Mapping[int, float]
+
+    def robots(self, platform: str) -> list[int]:
+        """The pids of a platform."""
+        return [pid for pid, own in enumerate(self.platforms) if own == platform]
+
+    def of(self, assumption: int, platform: str) -> list[Seen]:
+        """What was seen of an assumption on a platform, by robot."""
+        return [self.seen[assumption, pid] for pid in self.robots(platform)]
+
+
+def read(folder: Path, run: int) -> Sample | None:
+    """The sample that a run's folder holds; None where the run did not come to its end. Raises OSError."""
+    try:
+        with (folder / FILE).open(encoding="utf-8") as file:
+            lines = [json.loads(line) for line in file]
+        if lines[0]["format"] != FORMAT or "end" not in lines[-1]:
+            return None
+        return _sample(run, lines[0], lines[1:-1], lines[-1]["end"])
+    except FileNotFoundError:
+        return None
+    except (ValueError, LookupError, TypeError):  # cut off, or not what a run writes
+        return None
+
+
+def _sample(run: int, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], ended: str) -> Sample:
+    assumptions = tuple([Assumption(k, a["module"], a["line"]) for k, a in enumerate(head["assumptions"])])
+    robots = head["robots"]
+    seen = {(a.index, pid): Seen() for a in assumptions for pid in range(len(robots))}
+    breaches: list[Breach] = []
+    far: dict[int, float] = {}
+    reach: dict[int, float] = {}
+    in_a_row: dict[int, Row] = {}
+    for row in rows:
+        pid, at = row["pid"], round((row["round"] - 1) * head["delta"], 6)
+        breach = _breach(row, at, in_a_row.setdefault(pid, Row())) if "out" in row else None
+        if breach is None:
+            in_a_row.pop(pid, None)
+        else:
+            breaches.append(breach)
+            far[pid] = max(far.get(pid, 0.0), row["far"])
+        if "reach" in row:
+            reach[pid] = max(reach.get(pid, 0.0), row["reach"])
+        for index, came in enumerate(row["came"]):
+            _note(seen[index, pid], came, at, breach)
+    return Sample(
+        run, head["seed"], ended, head["body"], tuple(r["name"] for r in robots),
+        tuple(r["platform"] for r in robots), assumptions, tuple((u["line"], u["why"]) for u in head["unchecked"]),
+        seen, tuple(breaches), far, reach,
+    )  # fmt: skip
+
+
+def _breach(row: Mapping[str, Any], at: float, before: Row) -> Breach:
+    start, target, moving, out, then = (tuple(row[key]) for key in ("start", "target", "velocity", "out", "then"))
+    return before.add(row["pid"], at, out, kind(start, target, moving, out, then))
+
+
+def _note(seen: Seen, came: str, at: float, breach: Breach | None) -> None:
+    seen.windows[came] += 1
+    if came != VIOLATED:
+        return
+    seen.first = at if seen.first is None else seen.first
+    if breach is not None:
+        seen.breaches[breach.kind] += 1
+        seen.farthest[breach.kind] = max(seen.farthest.get(breach.kind, 0.0), breach.distance)
+        seen.together[breach.main] = max(seen.together.get(breach.main, 0.0), breach.together)
+        if seen.worst is None or breach.distance > seen.worst.distance:
+            seen.worst = breach
+
+
+def margin(samples: Iterable[Sample], platform: str, *, outside: bool) -> float:
+    """How far from its target (m) a robot of that platform was in any of the runs: at moments outside of the box, or
+    at all. 0 where there was none."""
+    values = (
+        (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
+    )
+    return max(values, default=math.nan)

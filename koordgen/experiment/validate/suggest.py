@@ -1,0 +1,120 @@
+"""Weaker assumptions that the samples keep to, with margins learned of them, and what the prover makes of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import shorten
+
+from koordgen.experiment.validate.samples import Sample, margin
+from koordgen.lang.check.sections.params import Value, with_params
+from koordgen.lang.check.sections.program import check
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import POINT
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
+from koordgen.verify.prove.report.show import suggestion as closing
+from koordgen.verify.prove.report.spell import nodes
+from koordgen.verify.prove.report.verdict import Question, prove
+from koordgen.verify.prove.smt.solve import Both, Solver
+
+STEP = 0.01  # metres: margins are rounded up to it
+MOST_SAID = 140  # characters of a reason
+
+
+@dataclass(frozen=True)
+class Proved:
+    """An invariant's verdict under some assumption; `closing` says with what more it would be PROVED, or why it is not;
+    "" where neither is known."""
+
+    invariant: str
+    verdict: str
+    closing: str
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """An assumption in the place of another, `margin` metres by platform and for all of them, and what is then
+    proved."""
+
+    module: str
+    line: int
+    text: str
+    by_platform: Mapping[str, float]
+    margin: float
+    proved: tuple[Proved, ...]
+
+    @property
+    def closes(self) -> bool:
+        """Whether every invariant is PROVED with it."""
+        return all(p.verdict == "PROVED" for p in self.proved)
+
+
+def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
+    """The assumption at a line if it says nothing but where a body is on its way from `position` to `target`."""
+    for module in program.modules:
+        for assumption in module.assumptions:
+            read = {(n.port, n.primed) for n in nodes(assumption.formula) if isinstance(n, ir.PortRead)}
+            points = {p.name for p in module.ports if p.type == POINT}
+            way = {("position", True), ("position", False), ("target", False)}
+            goes = ("position", True) in read and ("target", False) in read
+            if assumption.span.line == line and goes and read <= way and {"position", "target"} <= points:
+                return assumption
+    return None
+
+
+def suggestions(
+    source: Source,
+    program: decl.Program,
+    line: int,
+    params: Mapping[str, Value],
+    samples: Sequence[Sample],
+    solver: Solver | Both,
+) -> list[Suggestion]:
+    """In the place of the assumption at that line: its box or a ball about the target, and the ball alone. None where
+    it is about something else. Raises SolverMissing.
+
+    A box that is inflated at its start drifts, step by step, and no invariant about places survives it: so what is
+    added lies about the target."""
+    old = about_way(program, line)
+    if old is None:
+        return []
+    module = next(m.name for m in program.modules if old in m.assumptions)
+    found = []
+    for outside, text in (
+        (True, "position' in Rect(position, target) or position' in Ball(target, {})"),
+        (False, "position' in Ball(target, {})"),
+    ):
+        platforms = dict.fromkeys(p for sample in samples for p in sample.platforms)
+        own = {platform: _up(margin(samples, platform, outside=outside)) for platform in platforms}
+        most = max(own.values(), default=0.0)
+        formula = text.format(f"{most:g}")
+        proved = _proved(_with(source, old.formula.span, formula), params, solver)
+        found.append(Suggestion(module, line, formula, own, most, tuple(proved)))
+    return found
+
+
+def _up(metres: float) -> float:
+    return round(math.ceil(metres / STEP - 1e-9) * STEP, 6)
+
+
+def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | Both) -> list[Proved]:
+    """With the params as they are built: it is this fleet that was sampled."""
+    fixed = {p.name: p.default for p in with_params(program, params).params}
+    found = prove(Question(program, None, fixed), solver)
+    return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
+
+
+def _with(source: Source, span: Span, formula: str) -> decl.Program:
+    """The program whose text has that formula at that place."""
+    lines = source.text.split("\n")
+    first, last = lines[span.line - 1], lines[span.end_line - 1]
+    whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"
+    text = "\n".join([*lines[: span.line - 1], whole, *lines[span.end_line :]])
+    changed = Source(source.path, text)
+    tree, unread = parse(changed)
+    program, found = check(tree, changed)
+    assert program is not None and not unread, found
+    return program

@@ -1,0 +1,300 @@
+"""Reachsets: where a platform can be while it goes to a target, as a tube of boxes over time, learned from samples.
+
+After DryVR (sensitivity.py): ways from sampled starts cover the set of starts, and are inflated by how far a way can
+get from the nearest of them. By what multiple of that is found on samples of its own: the least that keeps all of them
+inside at all times. So it is one threshold, and what `sensitivity.bound` says holds of whole ways: with confidence
+1 - gamma no more than a part epsilon of all ways, drawn as these were, ever leave the tube. That is the holdout method
+(E. Dietrich, R. Devonport, S. Tu, M. Arcak, "Data-Driven Reachability with Scenario Optimization and the Holdout
+Method", arXiv:2504.06541, 2025). The claim is about the simulator and the starts drawn, and is statistical.
+
+Frame: ENU, metres, its origin at the nominal start; times in seconds since the target came.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koordgen.experiment.validate.probe import Samples, Start, Vector
+from koordgen.experiment.validate.sensitivity import Discrepancy, calibrated, learned, nearest
+from koordgen.experiment.validate.statistics import needed
+
+Array = NDArray[np.float64]
+FORMAT = "koord-reachset/1"
+EPSILON, GAMMA = 0.05, 0.05  # as `koordgen validate` has them
+STEP = 0.05  # seconds that a box of the tube is for, at most
+SEGMENT = 0.25  # seconds of the discrepancy's segments
+VELOCITY, HEADING = 1.0, 1.0  # s, m: what a m/s, and a unit of heading, count for in the distance of two starts
+SHOWN = 24  # ways that a reachset keeps for pictures, evenly from those that go farthest to those that go least far
+SLOW = 0.05  # m/s: who is faster at the end had not come to rest
+MOST_BOXES = 100  # of a volume
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Of the samples themselves, metres: the farthest beyond the target along the offset, the farthest to a side of
+    it, the farthest out of the box between own start and target; the part that still moved at the end."""
+
+    overshoot: float
+    lateral: float
+    excess: float
+    moving: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reachset:
+    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3), and from above
+    between ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples` are those that it was
+    learned of, calibrated on and checked on; `covered` is the part of the last that never left it, `pairs_covered` that
+    of which the sensitivity held. `inflated` is the multiple of the sensitivity's radius that calibration asked for.
+    `ways` (w, J + 1, 3) are some samples at the edges."""
+
+    platform: str
+    target: str
+    fidelity: str
+    offset: Vector
+    start: Start
+    delta: float
+    seed: int
+    edges: Array
+    lower: Array
+    upper: Array
+    ahead: Array
+    aside: Array
+    sensitivity: Discrepancy
+    epsilon: float
+    gamma: float
+    samples: tuple[int, int, int]
+    covered: float
+    pairs_covered: float
+    inflated: float
+    observed: Observed
+    ways: Array
+
+    @property
+    def overshoot(self) -> float:
+        """How far the tube reaches beyond the target, along the offset in x and y, metres; below 0: it does not."""
+        return float(self.ahead.max() - math.hypot(*self.offset[:2]))
+
+    @property
+    def lateral(self) -> float:
+        """How far it reaches to a side of the offset's line, in x and y, metres."""
+        return float(np.abs(self.aside).max())
+
+    def json(self) -> dict[str, Any]:
+        """As docs/validate.md has it; numbers to a tenth of a millimetre."""
+        found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
+        found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
+        own = self.sensitivity
+        gains = {"edges": _listed(own.edges), "gains": _listed(own.gains), "rates": _listed(own.rates)}
+        found |= {"start": asdict(self.start), "observed": asdict(self.observed)}
+        found["sensitivity"] = {**gains, "resolution": own.resolution, "factor": own.factor}
+        return {"format": FORMAT, **found}
+
+
+_ARRAYS = ("edges", "lower", "upper", "ahead", "aside", "ways", "sensitivity")
+
+
+def _listed(values: Array) -> list[float]:
+    return [float(f"{v:.6g}") for v in values]
+
+
+def from_json(value: dict[str, Any]) -> Reachset:
+    """Raises ValueError for what is none."""
+    try:
+        if value["format"] != FORMAT:
+            raise ValueError(f"its format is {value['format']!r}, not {FORMAT!r}")
+        own = {k: v for k, v in value.items() if k != "format"}
+        own |= {k: np.array(own[k], dtype=float) for k in _ARRAYS if k != "sensitivity"}
+        gains = {k: v for k, v in own["sensitivity"].items() if k != "rates"}
+        gains |= {k: np.array(gains[k], dtype=float) for k in ("edges", "gains")}
+        own |= {"sensitivity": Discrepancy(**gains), "observed": Observed(**own["observed"])}
+        start = {**own["start"], "after": tuple(own["start"]["after"])}
+        own |= {"start": Start(**start), "offset": tuple(own["offset"]), "samples": tuple(own["samples"])}
+        found = Reachset(**own)
+        if not len(found.edges) == len(found.lower) + 1 == len(found.upper) + 1 or found.lower.shape[1:] != (3,):
+            raise ValueError(f"{len(found.edges)} edges, and boxes of the shape {found.lower.shape}")
+        return found
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"no reachset: {type(error).__name__}: {error}") from None
+
+
+def features(starts: Array) -> Array:
+    """Starts (n, 7) as points (n, 8) whose distance is in metres: position, velocity, and heading as a unit vector."""
+    yaw = starts[:, 6:7]
+    return np.hstack([starts[:, :3], VELOCITY * starts[:, 3:6], HEADING * np.cos(yaw), HEADING * np.sin(yaw)])
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """What is learned of ways: boxes (J, a) between `edges`, and how good they are."""
+
+    edges: Array
+    lower: Array
+    upper: Array
+    sensitivity: Discrepancy
+    inflated: float
+    covered: float
+    pairs_covered: float
+
+
+def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
+    """Of ways (n, T, d) at evenly spaced `times` (T,) with starts (n, f): the first part is learned of, the next `each`
+    are calibrated on, the last `each` checked on. Boxes are for `step` seconds, and along `axes` (d, a), unit vectors.
+    Raises ValueError."""
+    first = len(ways) - 2 * each
+    if first < 2:
+        raise ValueError(f"{len(ways)} samples; with {each} to calibrate and {each} to check there must be more")
+    found = learned(times, ways[:first], starts[:first], SEGMENT)
+    along = ways @ axes
+    low, high = along[:first].min(axis=0), along[:first].max(axis=0)
+    radius = found.gain(times) * found.resolution
+    held, checked = slice(first, first + each), slice(first + each, None)
+    apart, away = _pairs(ways[held], starts[held], ways[:first], starts[:first])
+    out = np.maximum(np.maximum(low - along[held], along[held] - high), 0.0).max(axis=2)
+    inflated = float((out / radius).max())
+    low, high = low - (inflated * radius)[:, None], high + (inflated * radius)[:, None]
+    inside = ((low <= along[checked]) & (along[checked] <= high)).all(axis=(1, 2))
+    sure = calibrated(found, times, apart, away)
+    fresh = sure.beyond(times, *_pairs(ways[checked], starts[checked], ways[:first], starts[:first])) <= 1
+    edges, lower, upper = _boxes(times, low, high, step)
+    return Tube(edges, lower, upper, sure, inflated, float(inside.mean()), float(fresh.mean()))
+
+
+def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
+    """Each way with the one of `centres` that began closest: how far apart over time, and how far their starts."""
+    which, away = nearest(starts, at)
+    return np.linalg.norm(ways - centres[which], axis=2), away
+
+
+def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, Array, Array]:
+    """What is within [low, high] (T, d) at all times of each step."""
+    stride = max(1, round(step / (times[1] - times[0])))
+    first = np.arange(0, len(times) - 1, stride)
+    last = np.minimum(first + stride, len(times) - 1)
+    spans = [slice(a, b + 1) for a, b in zip(first, last, strict=True)]
+    lower = np.array([low[span].min(axis=0) for span in spans])
+    upper = np.array([high[span].max(axis=0) for span in spans])
+    return times[np.append(first, last[-1])], lower, upper
+
+
+def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
+    """The reachset that samples show. Raises ValueError when they are too few."""
+    probe, each = samples.probe, needed(epsilon, gamma)
+    platform = probe.platform
+    step = platform.delta / math.ceil(platform.delta / STEP)
+    u, left = above(probe.offset)
+    axes = np.vstack([np.eye(3), u, left]).T
+    found = tube(samples.times, samples.positions, features(samples.starts), each, step, axes)
+    count = len(samples.positions)
+    farthest = np.argsort((samples.positions @ u).max(axis=1))
+    shown = farthest[np.linspace(0, count - 1, min(SHOWN, count)).round().astype(int)]
+    ahead, aside = (np.stack([found.lower[:, k], found.upper[:, k]], axis=1) for k in (3, 4))
+    at = np.minimum(np.searchsorted(samples.times, found.edges - 1e-9), len(samples.times) - 1)
+    return Reachset(
+        platform.name, platform.target, platform.fidelity, probe.offset, probe.start, platform.delta, probe.seed,
+        found.edges, found.lower[:, :3], found.upper[:, :3], ahead, aside, found.sensitivity, epsilon, gamma,
+        (count - 2 * each, each, each), found.covered, found.pairs_covered, found.inflated, _observed(samples),
+        samples.positions[shown][:, at],
+    )  # fmt: skip
+
+
+def above(offset: Vector) -> tuple[Array, Array]:
+    """Unit vectors in x and y, along the offset and to the left of it."""
+    x, y = np.array(offset[:2]) / math.hypot(*offset[:2])
+    return np.array([x, y, 0.0]), np.array([-y, x, 0.0])
+
+
+def _observed(samples: Samples) -> Observed:
+    ways, offset = samples.positions, np.array(samples.probe.offset)
+    u, left = above(samples.probe.offset)
+    corner = ways[:, :1]
+    low, high = np.minimum(corner, offset), np.maximum(corner, offset)
+    out = np.maximum(low - ways, ways - high).max()
+    back = round(0.1 / (samples.times[1] - samples.times[0]))
+    speed = np.linalg.norm(ways[:, -1] - ways[:, -1 - back], axis=1) / 0.1
+    ahead = float((ways @ u).max() - math.hypot(*offset[:2]))
+    return Observed(ahead, float(np.abs(ways @ left).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Of one reachset, m, m^2 and m^3: of the union of its boxes, over the window of one delta in which it is largest
+    and over the whole move; beyond the target; to a side."""
+
+    area_delta: float
+    area: float
+    volume_delta: float
+    volume: float
+    overshoot: float
+    lateral: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two platforms on their way to the same relative offset."""
+
+    platforms: tuple[str, str]
+    offset: Vector
+    figures: tuple[Figures, Figures]
+
+    def json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def text(self) -> str:
+        """A table."""
+        a, b = map(asdict, self.figures)
+        rows = [f"{'':22}{self.platforms[0]:>12}{self.platforms[1]:>12}"]
+        rows += [f"{_TOLD[key]:22}{a[key]:12.3f}{b[key]:12.3f}" for key in _TOLD]
+        return "\n".join(rows) + "\n"
+
+
+_TOLD = {
+    "area_delta": "area in a delta, m^2",
+    "area": "area, m^2",
+    "volume_delta": "volume in a delta, m^3",
+    "volume": "volume, m^3",
+    "overshoot": "beyond the target, m",
+    "lateral": "to a side, m",
+}
+
+
+def figures(found: Reachset) -> Figures:
+    """How large it is, of the boxes that lie along the offset."""
+    lower = np.stack([found.ahead[:, 0], found.aside[:, 0], found.lower[:, 2]], axis=1)
+    upper = np.stack([found.ahead[:, 1], found.aside[:, 1], found.upper[:, 2]], axis=1)
+    window = max(1, round(found.delta / (found.edges[1] - found.edges[0])))
+    starts = range(max(1, len(lower) - window + 1))
+    areas = [union(lower[k : k + window, :2], upper[k : k + window, :2]) for k in starts]
+    volumes = [union(lower[k : k + window], upper[k : k + window]) for k in starts]
+    area = union(lower[:, :2], upper[:, :2])
+    return Figures(max(areas), area, max(volumes), union(*_fewer(lower, upper)), found.overshoot, found.lateral)
+
+
+def compared(a: Reachset, b: Reachset) -> Comparison:
+    """Raises ValueError when they are of different offsets."""
+    if a.offset != b.offset:
+        raise ValueError(f"{a.platform} went {a.offset}, {b.platform} {b.offset}: that is not the same offset")
+    return Comparison((a.platform, b.platform), a.offset, (figures(a), figures(b)))
+
+
+def _fewer(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """No more boxes than a volume takes: the hulls of those that follow one another."""
+    cuts = np.arange(0, len(lower), math.ceil(len(lower) / MOST_BOXES))
+    return np.minimum.reduceat(lower, cuts), np.maximum.reduceat(upper, cuts)
+
+
+def union(lower: Array, upper: Array) -> float:
+    """The measure of a union of boxes (J, d), by the cells between all their faces."""
+    faces = [np.unique(np.concatenate([lower[:, k], upper[:, k]])) for k in range(lower.shape[1])]
+    filled = np.zeros([len(f) - 1 for f in faces], dtype=bool)
+    for low, high in zip(lower, upper, strict=True):
+        filled[tuple(slice(*np.searchsorted(f, (a, b))) for f, a, b in zip(faces, low, high, strict=True))] = True
+    cells: Array = filled.astype(float)
+    for face in reversed(faces):
+        cells = cells @ np.diff(face)
+    return float(cells)

@@ -1,0 +1,172 @@
+"""What the samples say of each assumption on each platform."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from koordgen.experiment.validate.breach import Breach
+from koordgen.experiment.validate.samples import (
+    FINISHED,
+    HELD,
+    NO_VALUE,
+    OUT,
+    UNKNOWN,
+    VIOLATED,
+    Assumption,
+    Sample,
+    Seen,
+)
+from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown
+
+Name = Literal["VALIDATED", "VIOLATED", "INCONCLUSIVE"]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What is asked for: with confidence 1 - gamma a run violates with a probability below epsilon."""
+
+    epsilon: float
+    gamma: float
+
+    @property
+    def needed(self) -> int:
+        """Runs without a violation."""
+        return needed(self.epsilon, self.gamma)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A violated window that can be looked at again: of which run, with which seed, when (s since round 1)."""
+
+    run: int
+    seed: int
+    robot: str
+    at: float
+    breach: Breach | None
+
+
+@dataclass(frozen=True)
+class Robot:
+    """One robot over all samples: violated runs, judged and violated windows."""
+
+    name: str
+    runs: int
+    windows: int
+    violated: int
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one assumption on one platform. `runs` are the samples in which it was judged at all, `violated` those in
+    which it was violated, `interval` that of the probability that a run violates; `windows` and `violated_windows`
+    are of all of them together. `worst` went farthest outside the box, or was first. `epsilon` is what so many runs
+    show without a violation; `wanted` is how many more runs are needed. By kind of breach: violated windows, and metres
+    outside the box in one window (`farthest`) and in windows one after the other (`together`)."""
+
+    assumption: Assumption
+    platform: str
+    verdict: Name
+    why: str
+    runs: int
+    violated: int
+    interval: tuple[float, float]
+    epsilon: float
+    wanted: int
+    windows: int
+    violated_windows: int
+    out_of_model: int
+    worst: Case | None
+    breaches: Mapping[str, int]
+    farthest: Mapping[str, float]
+    together: Mapping[str, float]
+    robots: tuple[Robot, ...]
+
+
+def verdicts(samples: Sequence[Sample], unfinished: int, bound: Bound) -> list[Verdict]:
+    """By assumption, then platform, in the order of program and fleet; `unfinished` is how many runs that were begun
+    came to nothing. Of no sample nothing can be said, not even which platforms there are."""
+    if not samples:
+        return []
+    platforms = dict.fromkeys(samples[0].platforms)
+    return [_of(a, platform, samples, unfinished, bound) for a in samples[0].assumptions for platform in platforms]
+
+
+def _of(assumption: Assumption, platform: str, samples: Sequence[Sample], unfinished: int, bound: Bound) -> Verdict:
+    judged: list[tuple[Sample, list[Seen]]] = []
+    total: Counter[str] = Counter()
+    cut = unfinished
+    for sample in samples:
+        seen = sample.of(assumption.index, platform)
+        windows = sum((one.windows for one in seen), Counter[str]())
+        total += windows
+        if windows[VIOLATED] or (sample.ended in FINISHED and windows[HELD]):
+            judged.append((sample, seen))
+        elif sample.ended not in FINISHED:
+            cut += 1
+    bad = sum(any(one.windows[VIOLATED] for one in seen) for _, seen in judged)
+    wanted = max(0, bound.needed - len(judged))
+    name, why = _said(bad, len(judged), total, cut, wanted)
+    all_seen = [one for _, seen in judged for one in seen]
+    counted = sum((one.breaches for one in all_seen), Counter[str]())
+    return Verdict(
+        assumption, platform, name, why, len(judged), bad, clopper_pearson(bad, len(judged), bound.gamma),
+        shown(len(judged), bound.gamma), wanted, total[HELD] + total[VIOLATED], total[VIOLATED], total[OUT],
+        _worst(judged, platform), dict(counted), _most([one.farthest for one in all_seen]),
+        _most([one.together for one in all_seen]), _robots(judged, platform),
+    )  # fmt: skip
+
+
+def _said(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int) -> tuple[Name, str]:
+    if bad:
+        return "VIOLATED", ""
+    if total.get(NO_VALUE):
+        return "INCONCLUSIVE", f"it had no value in {_windows(total[NO_VALUE])}: something in it failed"
+    if cut:
+        return (
+            "INCONCLUSIVE",
+            f"{cut} run{'s' * (cut != 1)} did not come to an end: what it would have shown is not known",
+        )
+    if not judged:
+        unknown = f"; in {_windows(total[UNKNOWN])} it was not known" if total.get(UNKNOWN) else ""
+        return "INCONCLUSIVE", f"it was never put to the test{unknown}"
+    if wanted:
+        return "INCONCLUSIVE", f"{wanted} more sample{'s' * (wanted != 1)} wanted"
+    return "VALIDATED", ""
+
+
+def _windows(count: int) -> str:
+    return f"{count} window{'s' * (count != 1)}"
+
+
+def _worst(judged: Sequence[tuple[Sample, list[Seen]]], platform: str) -> Case | None:
+    cases = [
+        Case(s.run, s.seed, s.names[pid], one.worst.at if one.worst else one.first, one.worst)
+        for s, seen in judged
+        for pid, one in zip(s.robots(platform), seen, strict=True)
+        if one.first is not None
+    ]
+    return min(cases, key=lambda c: (-(c.breach.distance if c.breach else 0.0), c.run, c.at), default=None)
+
+
+def _most(metres: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for one in metres:
+        for kind, distance in one.items():
+            found[kind] = max(found.get(kind, 0.0), distance)
+    return found
+
+
+def _robots(judged: Sequence[tuple[Sample, list[Seen]]], platform: str) -> tuple[Robot, ...]:
+    if not judged:
+        return ()
+    first, _ = judged[0]
+    found = []
+    for place, pid in enumerate(first.robots(platform)):
+        own = [seen[place].windows for _, seen in judged]
+        violated = sum(w[VIOLATED] for w in own)
+        windows = violated + sum(w[HELD] for w in own)
+        found.append(Robot(first.names[pid], sum(w[VIOLATED] > 0 for w in own), windows, violated))
+    return tuple(found)

@@ -1,0 +1,278 @@
+"""Terms that are linear in integers, and conditions over them.
+
+Terms are linear over integer variables, among them the lengths of lists, ints within values, and the quotients,
+remainders and choices of other terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import assert_never
+
+from koordgen.lang.node import Node
+
+
+class Linear(Node):
+    """constant + sum of factor * variable; variables differ, factors are not zero."""
+
+    terms: tuple[tuple[Var, int], ...]
+    constant: int
+
+
+class Quotient(Node):
+    """operand // divisor, divisor > 0."""
+
+    operand: Linear
+    divisor: int
+
+
+class Remainder(Node):
+    """operand % divisor, in [0, divisor) where the divisor is positive."""
+
+    operand: Linear
+    divisor: Linear
+
+
+class Choice(Node):
+    """then if condition else orelse."""
+
+    condition: Formula
+    then: Linear
+    orelse: Linear
+
+
+class Length(Node):
+    """How many elements a list, queue, set, map or string has, 0 at least: a variable's by its name, or else a part's
+    by the expression that reads it."""
+
+    of: object
+
+
+class Value(Node):
+    """An int that is a part of a value, by the expression that reads it."""
+
+    of: object
+
+
+# A plain variable is its name: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
+Var = str | Quotient | Remainder | Choice | Length | Value
+
+
+class AtLeastZero(Node):
+    """linear >= 0"""
+
+    linear: Linear
+
+
+class Fact(Node):
+    """A condition that is no arithmetic, known by any hashable key."""
+
+    key: object
+    holds: bool
+
+
+class And(Node):
+    """All hold; of none: true."""
+
+    parts: tuple[Formula, ...]
+
+
+class Or(Node):
+    """One holds; of none: false."""
+
+    parts: tuple[Formula, ...]
+
+
+class Unknown(Node):
+    """A condition of which nothing is known; so is its negation."""
+
+
+Formula = AtLeastZero | Fact | And | Or | Unknown
+
+TRUE, FALSE, UNKNOWN = And(()), Or(()), Unknown()
+PID, N_SYS = "pid", "N_SYS"
+
+
+def constant(value: int) -> Linear:
+    return Linear((), value)
+
+
+def variable(var: Var) -> Linear:
+    return Linear(((var, 1),), 0)
+
+
+def combine(left: Linear, right: Linear, factor: int = 1) -> Linear:
+    """left + factor * right"""
+    total = left.constant + factor * right.constant
+    if not right.terms:
+        return Linear(left.terms, total)
+    if not left.terms:
+        return Linear(tuple([(var, factor * times) for var, times in right.terms]) if factor else (), total)
+    terms = dict(left.terms)
+    for var, times in right.terms:
+        terms[var] = terms.get(var, 0) + factor * times
+    return Linear(tuple([(var, times) for var, times in terms.items() if times]), total)
+
+
+def scale(linear: Linear, factor: int) -> Linear:
+    return combine(constant(0), linear, factor)
+
+
+def shifted(formula: Formula, var: Var, by: int) -> Formula:
+    """The formula for `var - by` in place of the plain variable or length `var`, where it stands in terms; a formula
+    has it nowhere else."""
+    match formula:
+        case AtLeastZero(linear):
+            factor = dict(linear.terms).get(var, 0)
+            return AtLeastZero(Linear(linear.terms, linear.constant - factor * by)) if factor else formula
+        case And(parts):
+            return And(tuple([shifted(part, var, by) for part in parts]))
+        case Or(parts):
+            return Or(tuple([shifted(part, var, by) for part in parts]))
+        case _:
+            return formula
+
+
+def at_least(left: Linear, right: Linear) -> Formula:
+    """left >= right"""
+    return AtLeastZero(combine(left, right, -1))
+
+
+def less(left: Linear, right: Linear) -> Formula:
+    """left < right"""
+    return AtLeastZero(combine(combine(right, left, -1), constant(-1)))
+
+
+def equal(left: Linear, right: Linear) -> Formula:
+    return And((at_least(left, right), at_least(right, left)))
+
+
+def negate(formula: Formula) -> Formula:
+    """The formula's opposite."""
+    match formula:
+        case AtLeastZero(linear):
+            return AtLeastZero(combine(constant(-1), linear, -1))
+        case Fact(key, holds):
+            return Fact(key, not holds)
+        case And(parts):
+            return Or(tuple(negate(p) for p in parts))
+        case Or(parts):
+            return And(tuple(negate(p) for p in parts))
+        case Unknown():
+            return formula
+        case _:
+            assert_never(formula)
+
+
+def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
+    """The value of a term; None where a variable has none."""
+    total = linear.constant
+    for var, factor in linear.terms:
+        value = values.get(var) if isinstance(var, str) else _derived(var, values)
+        if value is None:
+            return None
+        total += factor * value
+    return total
+
+
+def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mapping[str, int]) -> int | None:
+    match var:
+        case Length() | Value():
+            return None
+        case Quotient(operand, divisor):
+            dividend = value_of(operand, values)
+            return None if dividend is None else dividend // divisor
+        case Remainder(operand, modulus):
+            dividend, by = value_of(operand, values), value_of(modulus, values)
+            return None if dividend is None or not by else dividend % by
+        case Choice(condition, then, orelse):
+            held = truth(condition, values)
+            return None if held is None else value_of(then if held else orelse, values)
+        case _:
+            assert_never(var)
+
+
+def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
+    """Whether a formula holds; None where that depends on what is not known."""
+    match formula:
+        case AtLeastZero(linear):
+            value = value_of(linear, values)
+            return None if value is None else value >= 0
+        case Fact() | Unknown():
+            return None
+        case And(parts):
+            found = {truth(p, values) for p in parts}
+            return False if False in found else None if None in found else True
+        case Or(parts):
+            found = {truth(p, values) for p in parts}
+            return True if True in found else None if None in found else False
+        case _:
+            assert_never(formula)
+
+
+def variables(item: Formula | Linear | Var) -> Iterator[object]:
+    """The plain variables of a formula, the keys of its facts, and of what its lengths and values are."""
+    match item:
+        case Linear(terms):
+            for var, _ in terms:
+                yield from variables(var)
+        case AtLeastZero(linear):
+            yield from variables(linear)
+        case Fact(key):
+            yield key
+        case Length(of) | Value(of):
+            yield of
+        case And(parts) | Or(parts):
+            for part in parts:
+                yield from variables(part)
+        case Quotient(operand):
+            yield from variables(operand)
+        case Remainder(operand, divisor):
+            yield from variables(operand)
+            yield from variables(divisor)
+        case Choice(condition, then, orelse):
+            yield from variables(condition)
+            yield from variables(then)
+            yield from variables(orelse)
+        case str():
+            yield item
+        case Unknown():
+            pass
+        case _:
+            assert_never(item)
+
+
+def show(linear: Linear) -> str:
+    """A term in Koord's words: `N_SYS - pid - 1`."""
+    parts = [(factor, _name(var)) for var, factor in linear.terms]
+    parts.sort(key=lambda part: part[0] < 0)
+    text = ""
+    for factor, name in parts:
+        times = name if abs(factor) == 1 else f"{abs(factor)} * {name}"
+        sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
+        text += sign + times
+    if not text:
+        return str(linear.constant)
+    return text if not linear.constant else f"{text} {'+-'[linear.constant < 0]} {abs(linear.constant)}"
+
+
+def _name(var: Var) -> str:
+    match var:
+        case str():
+            return var.rpartition(" ")[2]
+        case Quotient(operand, divisor):
+            return f"({show(operand)}) // {divisor}"
+        case Remainder(operand, modulus):
+            return f"({show(operand)}) % ({show(modulus)})"
+        case Choice() | Value():
+            return "(...)"
+        case Length(of):
+            return f"len({of.rpartition(' ')[2] if isinstance(of, str) else '...'})"
+        case _:
+            assert_never(var)
+
+
+def substitute(linear: Linear, var: str, by: Linear) -> Linear:
+    """The term with a plain variable replaced, derived variables left alone."""
+    factor = dict(linear.terms).get(var, 0)
+    return combine(combine(linear, variable(var), -factor), by, factor)

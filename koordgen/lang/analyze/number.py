@@ -1,0 +1,75 @@
+"""Numbers that are written out, and what is made of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import FLOAT, Type
+from koordgen.lang.node import nodes
+
+RANGE = "a float reaches to about 1.8e308"
+FUNCTIONS: dict[str, Callable[[float], float]] = {
+    name: getattr(math, name) for name in ("sqrt", "log", "asin", "acos", "exp", "sin", "cos", "tan", "atan")
+}
+
+
+Params = Mapping[str, ir.Expr]  # what params begin with
+_NO_PARAMS: Params = {}
+
+
+def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
+    """The value of an expression of numbers that are written out, if it has one."""
+    try:
+        return compute(node, params)
+    except (ValueError, ArithmeticError):
+        return None
+
+
+def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
+    """Return the innermost part of a first value whose number is beyond what floats hold, if there is one: no variable
+    keeps infinity."""
+    for part in reversed(list(nodes(value))):
+        number = number_of(part, params) if isinstance(part, (ir.Binary, ir.Unary)) and part.type is FLOAT else None
+        if number is not None and math.isinf(number):
+            return part  # type: ignore[return-value]
+    return None
+
+
+def compute(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
+    """The same; ValueError and OverflowError where a function or a power has none, though its parts have."""
+    match node:
+        case ir.Const(int() | float() as value):
+            return value
+        case ir.ParamRead(name) if name in params:
+            return number_of(params[name])
+        case ir.Widen(operand):
+            return number_of(operand, params)
+        case ir.Unary("-", operand):
+            positive = number_of(operand, params)
+            return None if positive is None else -positive
+        case ir.Builtin(name, (operand,)) if name in FUNCTIONS:
+            argument = number_of(operand, params)
+            return None if argument is None else FUNCTIONS[name](argument)
+        case ir.Binary(op, left, right):
+            first, second = number_of(left, params), number_of(right, params)
+            return None if first is None or second is None else _combined(op, first, second, node.type)
+        case _:
+            return None
+
+
+def _combined(op: str, first: float, second: float, type_: Type) -> float | None:
+    match op:
+        case "+":
+            return first + second
+        case "-":
+            return first - second
+        case "*":
+            return first * second
+        case "/":
+            return first / second
+        case "**" if type_ is FLOAT:
+            return math.pow(first, second)
+        case _:
+            return None

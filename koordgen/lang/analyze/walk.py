@@ -1,0 +1,51 @@
+"""Walks over trees of either kind, for questions that are asked rarely."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from koordgen.lang.node import Node
+from koordgen.lang.syntax import decl, expr, stmt
+from koordgen.lang.syntax.types import BrokenType
+
+_APART = ("span", "name_span", "op_span", "def_span")
+
+
+def nodes(root: object) -> Iterator[Node]:
+    """All nodes of a tree (or of a tuple of trees) but the places, in no useful order."""
+    pending: list[object] = [root]
+    while pending:
+        item = pending.pop()
+        if isinstance(item, tuple):
+            pending.extend(item)
+        elif isinstance(item, Node):
+            yield item
+            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in _APART])  # type: ignore[attr-defined]
+
+
+def broken_names(program: decl.Program) -> frozenset[str]:
+    """The names in all that could not be read."""
+    found: set[str] = set()
+    for node in nodes(program):
+        if isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)):
+            found.update(node.names)
+        elif isinstance(node, (decl.Variable, decl.Param)) and isinstance(node.type, BrokenType):
+            found.add(node.name)
+    return frozenset(found)
+
+
+def statements(block: stmt.Block) -> Iterator[stmt.Stmt]:
+    """All statements of a block and of the blocks in it."""
+    pending = list(block)
+    while pending:
+        statement = pending.pop()
+        yield statement
+        match statement:
+            case stmt.If(branches, orelse):
+                for branch in branches:
+                    pending.extend(branch.block)
+                pending.extend(orelse)
+            case stmt.For(block=inner) | stmt.CountedFor(block=inner) | stmt.While(block=inner) | stmt.Atomic(inner):
+                pending.extend(inner)
+            case _:
+                pass

@@ -1,0 +1,173 @@
+"""What all checks of expressions share: the way in, what fits where, the values of variables that are given none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeGuard
+
+from koordgen.lang.check.context import Context
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.decl import Record
+from koordgen.lang.ir.types import (
+    BOOL,
+    FLOAT,
+    GRID,
+    INT,
+    POINT,
+    POISON,
+    POSE,
+    STRING,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    TupleOf,
+    Type,
+)
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+
+NUMBERS = (INT, FLOAT)
+# By the class of the node; expr.py fills it. A table, because most of a check's time goes into finding the way.
+CHECKERS: dict[type, Callable[[Any, Context, Type | None], ir.Expr]] = {}
+_DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tuple))
+
+
+def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """The typed form; POISON where it is wrong, which has been reported then. `wanted` is what the place takes, if that
+    is known: it gives empty displays their type, and ints in displays become floats. It is not enforced."""
+    return CHECKERS[type(node)](node, c, wanted)
+
+
+def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
+    """An expression that must be a bool."""
+    checked = CHECKERS[type(node)](node, c, None)
+    if checked.type is BOOL or checked.type is POISON:
+        return checked
+    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c))
+
+
+def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
+    """The help for a value that stands where a bool is wanted, or, with `==`, its contrary."""
+    type_, text = value.type, c.text(value.span)
+    if type_ in NUMBERS:
+        return f"compare it: '{text} {op} 0'"
+    if isinstance(type_, (Sequence, MapOf)):
+        return f"compare its length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
+    if type_ == STRING:
+        return f"compare it: '{text} {op} \"\"'"
+    return "compare it with '=='"
+
+
+def same(first: Type, second: Type) -> bool:
+    return first is second or first == second
+
+
+def widened(value: ir.Expr, type_: Type) -> ir.Expr:
+    """An int as a float where a float is wanted; anything else as it is."""
+    return ir.Widen(value, FLOAT, value.span) if type_ is FLOAT and value.type is INT else value
+
+
+def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """A value that must be of a type."""
+    found = value.type
+    if found is type_ or found is POISON or type_ is POISON:
+        return value
+    if type_ is FLOAT and found is INT:
+        return ir.Widen(value, FLOAT, value.span)
+    if found == type_:
+        return value
+    return misfit(value, type_, what, c)
+
+
+def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """A value that is handed over: there what every robot has one of serves as a list."""
+    found = value.type
+    listed = isinstance(found, PerRobot) and isinstance(type_, Sequence) and type_.name == "List"
+    if listed and same(found.element, type_.element):  # type: ignore[union-attr]
+        return value
+    return fitting(value, type_, what, c)
+
+
+def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """Report that a value is not of the type that is wanted."""
+    found, help = value.type, ""
+    if isinstance(found, PerRobot) and not isinstance(type_, PerRobot):
+        return per_robot(value, c)
+    if type_ is INT and found is FLOAT:
+        divides = isinstance(value, ir.Binary) and value.op == "/"
+        help = (
+            "'/' gives a float; '//' of two ints gives an int" if divides else "a float never becomes an int by itself"
+        )
+        help += "" if divides else ": floor, ceil and round make one"
+    elif same(type_, STRING):
+        help = "str(...) makes a string of a number or a bool"
+    elif type_ is POINT and isinstance(found, TupleOf):
+        help = "write Point(x, y, z)"
+    elif type_ is BOOL and found in NUMBERS:
+        help = as_bool(value, c)
+    elif type_ in NUMBERS and found is BOOL:
+        help = f"write '1 if {c.text(value.span)} else 0'"
+    return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help)
+
+
+def per_robot(value: ir.Expr, c: Context) -> ir.Expr:
+    """Report that an allread variable stands, as a whole, where one value is wanted."""
+    text = c.text(value.span)
+    return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _own(text, c))
+
+
+def _own(text: str, c: Context) -> str:
+    if c.place in ("function", "contract"):
+        return f"{text}[i] is robot i's"
+    return f"{text}[i] is robot i's" if c.place == "property" else f"{text}[pid] is this robot's"
+
+
+def a(type_: Type) -> str:
+    """A type with its article."""
+    text = str(type_)
+    return f"an {text}" if text[0] in "aeiouAEIO" else f"a {text}"
+
+
+def default(type_: Type, span: Span, c: Context) -> ir.Expr:
+    """The value of a variable that is given none."""
+    match type_:
+        case RecordType(name, fields):
+            record = c.entities.get(name)
+            items = record.defaults if isinstance(record, Record) else [default(t, span, c) for _, t in fields]
+            return ir.Make(tuple(items), type_, span)
+        case TupleOf(items):
+            return ir.Make(tuple([default(item, span, c) for item in items]), type_, span)
+        case PerRobot():
+            return c.poison(span)
+    if type_ is POISON:
+        return c.poison(span)
+    if type_ == STRING:
+        return ir.Const("", type_, span)
+    if type_ is INT or type_ is FLOAT or type_ is BOOL:
+        return ir.Const(0 if type_ is INT else 0.0 if type_ is FLOAT else False, type_, span)
+    nought = ir.Const(0, INT, span)
+    zero = ir.Const(0.0, FLOAT, span)
+    if type_ is POINT:
+        return ir.Builtin("Point", (zero, zero, zero), POINT, span)
+    if type_ is POSE:
+        return ir.Builtin("Pose", (default(POINT, span, c), zero), POSE, span)
+    if type_ is GRID:
+        return ir.Builtin("Grid", (nought, nought, ir.Const(1.0, FLOAT, span)), GRID, span)
+    return ir.Make((), type_, span)
+
+
+def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | ast.MapDisplay | ast.Tuple]:
+    """Whether an expression takes its type from the place where it stands, rather than has one."""
+    return type(node) in _DISPLAYS
+
+
+def has_call(node: object, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
+    """Whether something is called in an expression, of the program's own or outside."""
+    if isinstance(node, tuple):
+        return any(has_call(item, kinds) for item in node)
+    if isinstance(node, kinds):
+        return True
+    if not isinstance(node, ir.Expr):
+        return False
+    return any(has_call(getattr(node, field), kinds) for field in type(node).__match_args__)

@@ -1,0 +1,400 @@
+"""Calls: builtins, methods, functions of the program's own, extern functions, callable ports, records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Many
+
+from koordgen.lang.check.base import a, argument, check_expr, fitting, same, widened
+from koordgen.lang.check.context import Context
+from koordgen.lang.check.expressions.dialect import FUNCTIONS as OLD_FUNCTIONS
+from koordgen.lang.check.expressions.dialect import old_call
+from koordgen.lang.check.expressions.match import Bound, bind, filled, shown
+from koordgen.lang.check.expressions.name import (
+    HABITS,
+    NO_FUNCTIONS,
+    assumed_port,
+    declared_port,
+    field_of,
+    is_event,
+    methods_of,
+    module_named,
+    names_a_value,
+    not_called,
+    word_of,
+)
+from koordgen.lang.check.invariant import check_old, port_called
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATES, Signature
+from koordgen.lang.ir.types import (
+    FLOAT,
+    GRID,
+    NAMED,
+    PLANNER,
+    POINT,
+    POISON,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    Type,
+    list_of,
+)
+from koordgen.lang.node import replace
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+
+_LENGTHS = ("length", "size", "len", "__len__")
+_PATH = list_of(POINT)
+_OBSTACLES = (list_of(GRID), _PATH)
+
+
+def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Expr:
+    function = node.function
+    if type(function) is ast.Attribute:
+        module = module_named(function.value, c)
+        return _method(node, function, c) if module is None else _port_call(node, module, function, c)
+    if type(function) is not ast.Name:
+        called = check_expr(function, c)
+        skip(node, c)
+        return called if called.type is POISON else c.error("K017", "this is not a function", function.span)
+    name = function.name
+    if c.temp(name) is not None:
+        return _no_function(node, function, c)
+    owner = assumed_port(name, c) if c.place == "assume" else None
+    if owner is not None:
+        return _port_call(node, owner, ast.Attribute(function, name, function.span, function.span), c)
+    if name in c.entities:
+        return _own(node, function, c)
+    if name in FUNCTIONS:
+        return _builtin(name, node, c)
+    if name == "old":
+        return check_old(node, c)
+    if name in OLD_FUNCTIONS:
+        modern = old_call(node, function, c)
+        if modern is not None:
+            return check_expr(modern, c, wanted)
+    return _no_function(node, function, c)
+
+
+def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+    entity = c.entities[function.name]
+    match entity:
+        case None:
+            skip(node, c)
+            return c.poison(node.span)
+        case decl.Record():
+            return _record(entity, node, c)
+        case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
+            return _function(entity, node, function, c)
+        case _:
+            return _no_function(node, function, c)
+
+
+def skip(node: ast.Call, c: Context) -> None:
+    """Arguments of what cannot be called may have mistakes of their own."""
+    for arg in node.args:
+        value = arg.value if isinstance(arg, ast.Keyword) else arg
+        if isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items:
+            continue
+        if isinstance(value, ast.Name) and value.name in NAMED:
+            continue  # isinstance(n, int)
+        if isinstance(value, ast.Call) and isinstance(value.function, ast.Name) and value.function.name == "range":
+            continue  # list(range(3))
+        check_expr(value, c)
+
+
+def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+    name = function.name
+    skip(node, c)
+    if name == "range":
+        return c.error("K017", "range(...) is no value", node.span, "it stands in a loop: 'for i in range(n):'")
+    if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
+        return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name])
+    if names_a_value(name, c):
+        return not_called(name, function.span, c)
+    if name in c.broken or name in c.owners:
+        return c.poison(node.span)
+    if is_event(name, c):
+        help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
+        return c.error("K017", f"{name} is an event and is not called", function.span, help)
+    own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
+    help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
+    taken = "..." if node.args else ""
+    define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
+    return c.error("K010", f"{name} is not defined", function.span, help or define)
+
+
+# Arguments
+
+
+def positional(node: ast.Call, name: str, count: Many[int], takes: str, c: Context) -> tuple[ast.Expr, ...] | None:
+    """The arguments of what takes no names; None after reporting that their number is wrong. They are not checked."""
+    for arg in node.args:
+        if isinstance(arg, ast.Keyword):
+            skip(node, c)
+            help = "names stand before the values of a record's fields only"
+            c.error("K014", f"{name} takes its arguments without names", arg.span, help)
+            return None
+    if len(node.args) not in count:
+        skip(node, c)
+        plural = "" if count[-1] == 1 else "s"
+        many = " or ".join(map(str, count)) if count[-1] else "no"
+        c.error("K014", f"{name} takes {many} argument{plural}, not {len(node.args)}", node.span, takes)
+        return None
+    return node.args  # type: ignore[return-value]
+
+
+def _handed(
+    nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
+) -> tuple[ir.Expr, ...] | None:
+    """Arguments of known types; None where one is wrong."""
+    args = []
+    for node, type_ in zip(nodes, types, strict=True):
+        value = check_expr(node, c, type_)
+        before = len(c.found)
+        args.append(argument(value, type_, f"an argument of {name}", c))
+        _explain(before, takes, c)
+    return None if any(arg.type is POISON for arg in args) else tuple(args)
+
+
+def _explain(before: int, takes: str, c: Context) -> None:
+    """Says what a function takes beside what was found of an argument, unless there is a better help."""
+    for position in range(before, len(c.found)):
+        if not c.found[position].help:
+            c.found[position] = replace(c.found[position], help=takes)
+
+
+# Builtins and methods
+
+
+def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
+    signatures = FUNCTIONS[name]
+    takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
+    nodes = positional(node, name, (len(signatures[0].args),), takes, c)
+    if nodes is None:
+        return c.poison(node.span)
+    if len(signatures) == 1:
+        return _applied(name, signatures[0], nodes, takes, node.span, c)
+    arg = check_expr(nodes[0], c)
+    if arg.type is POISON:
+        return c.poison(node.span)
+    for signature in signatures:
+        bound: Bound = {}
+        value = bind(signature.args[0], arg, bound)
+        if value is not None:
+            result = filled(signature.result, bound)
+            assert result is not None
+            return ir.Builtin(name, (value,), result, node.span)
+    return c.error("K012", f"{name} does not apply to {a(arg.type)}", arg.span, takes)
+
+
+_TAKES = {
+    "len": "len takes a List, Queue, Set, Map or string",
+    "str": "str takes an int, float, bool, string or Point",
+    "first": "first takes a List or Queue",
+    "last": "last takes a List or Queue",
+    "reversed": "reversed takes a List",
+    "sorted": "sorted takes a List of ints, floats or strings",
+    "min": "min takes two numbers; the least of a list is first(sorted(xs))",
+    "max": "max takes two numbers; the greatest of a list is last(sorted(xs))",
+}
+
+
+def _applied(
+    name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
+    first: ir.Expr | None = None,
+) -> ir.Expr:  # fmt: skip
+    """A builtin with one signature; `first` is the object of a method."""
+    bound: Bound = {}
+    args: list[ir.Expr] = []
+    poisoned = False
+    patterns = signature.args
+    if first is not None:
+        args.append(bind(patterns[0], first, bound) or first)
+        patterns = patterns[1:]
+    for pattern, node in zip(patterns, nodes, strict=True):
+        value = check_expr(node, c, filled(pattern, bound))
+        if value.type is POISON:
+            poisoned = True
+            continue
+        taken = bind(pattern, value, bound)
+        if taken is None:
+            before = len(c.found)
+            wanted = filled(pattern, bound)
+            if wanted is None:
+                c.error("K012", f"{name} does not apply to {a(value.type)}", value.span, takes)
+            else:
+                fitting(value, wanted, f"an argument of {name}", c)
+            _explain(before, takes, c)
+            poisoned = True
+        else:
+            args.append(taken)
+    if poisoned:
+        return c.poison(span)
+    result = filled(signature.result, bound)
+    assert result is not None
+    if bound.get("N") is FLOAT:
+        args = [widened(arg, FLOAT) for arg in args]
+    return ir.Builtin(name, tuple(args), result, span)
+
+
+def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
+    if isinstance(function.value, ast.Name) and _unknown(function.value.name, c) and function.name in FUNCTIONS:
+        skip(node, c)  # math.sqrt(2)
+        name = function.value.name
+        return c.error("K010", f"{name} is not defined", function.value.span, f"write {function.name}(...)")
+    operand = check_expr(function.value, c)
+    if operand.type is POISON:
+        skip(node, c)
+        return operand
+    type_, name = operand.type, function.name
+    word = "List" if isinstance(type_, PerRobot) else word_of(type_)
+    signature = METHODS.get((word, name))
+    if signature is not None:
+        nodes = positional(node, name, (len(signature.args) - 1,), "", c)
+        takes = f"{name} takes {shown(signature, 1)}"
+        return c.poison(node.span) if nodes is None else _applied(name, signature, nodes, takes, node.span, c, operand)
+    skip(node, c)
+    if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
+        text = c.text(function.value.span)
+        help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
+        return c.error("K027", f"{name} changes {text}: it has no place within an expression", node.span, help)
+    return no_method(operand, function, c)
+
+
+def _unknown(name: str, c: Context) -> bool:
+    return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
+
+
+def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
+    """Report that a value has no such method, with what may have been meant."""
+    type_, name, text = operand.type, function.name, c.text(function.value.span)
+    word = word_of(type_)
+    if field_of(type_, name) is not None:
+        return c.error("K017", f"{text}.{name} is a field and is not called", function.span)
+    if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or word == "string"):
+        help = f"write len({text})"
+    elif name in ("contains", "includes", "has", "has_key"):
+        help = f"write x in {text}"
+    elif name in HABITS.get(word, {}):
+        help = f"write {text}.{HABITS[word][name]}(...)"
+    elif name in ("sort", "reverse") and word == "List":
+        help = f"write {text} = {'sorted' if name == 'sort' else 'reversed'}({text})"
+    elif name in FUNCTIONS:
+        help = f"write {name}({text}, ...)" if len(FUNCTIONS[name][0].args) > 1 else f"write {name}({text})"
+    else:
+        methods = methods_of(type_)
+        help = c.nearest(name, methods) or (f"{a(type_)} has {', '.join(methods)}" if methods else "")
+        if word == "string":
+            help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
+    return c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
+
+
+# What the program declares
+
+
+def _function(
+    entity: decl.Function | decl.ExternFunction | decl.SpecFunction, node: ast.Call, function: ast.Name, c: Context
+) -> ir.Expr:
+    name, span = entity.name, node.span
+    types = [parameter.type for parameter in entity.parameters]
+    takes = f"{name} takes ({', '.join(map(str, types))})"
+    nodes = positional(node, name, (len(types),), takes, c)
+    args = _handed(nodes, types, name, takes, c) if nodes is not None else None
+    if c.place == "constant":
+        return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init")
+    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
+        message = f"{name} is declared by 'spec fun': it has a meaning in properties only"
+        return c.error("K027", message, function.span, "a 'fun' or an 'extern fun' can be called everywhere")
+    if c.function:
+        c.calls.setdefault(c.function, set()).add(name)
+    if args is None or entity.result is POISON:
+        return c.poison(span)
+    if isinstance(entity, decl.ExternFunction):
+        return ir.ExternCall(name, args, entity.result, span)
+    return ir.Call(name, args, entity.result, span)
+
+
+def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: Context) -> ir.Expr:
+    port = declared_port(module, function, c)
+    name = f"{module.name}.{function.name}"
+    if port is None or port.type is POISON:
+        skip(node, c)
+        return c.poison(node.span)
+    if port.type is not PLANNER:
+        skip(node, c)
+        return c.error("K017", f"{name} is {a(port.type)} and is not called", function.span)
+    takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
+    nodes = positional(node, name, (1, 2), takes, c)
+    if nodes is None:
+        return c.poison(node.span)
+    goal = fitting(check_expr(nodes[0], c), POINT, "the goal", c)
+    args = [goal]
+    if len(nodes) == 2:
+        obstacles = check_expr(nodes[1], c, _OBSTACLES[0])
+        if not any(same(obstacles.type, type_) for type_ in _OBSTACLES):
+            obstacles = argument(obstacles, _OBSTACLES[1], "what is to be avoided", c)
+        args.append(obstacles)
+    if c.place == "assume" and module.name != c.module:
+        message = f"an assumption speaks of its module's ports, params and pid only, not of {name}"
+        return c.error("K054", message, node.span)
+    if c.place not in ("init", "effect", "assume"):
+        where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
+        what = where.get(c.place, "a property")
+        help = "call it in 'eff:' and keep the answer in a variable"
+        return c.error("K027", f"{what} cannot call {name}: its answer is an input of the event", node.span, help)
+    if c.entry is not None:
+        return port_called(name, node, c)
+    if any(arg.type is POISON for arg in args):
+        return c.poison(node.span)
+    return ir.PortCall(module.name, port.name, tuple(args), _PATH, node.span)
+
+
+def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
+    """`Task(target=p)`: by position, then by name; the rest is as the record declares it."""
+    type_ = record.type
+    names = [name for name, _ in type_.fields]
+    given: dict[str, ir.Expr] = {}
+    takes = f"{type_.name} has the fields {', '.join(names)}"
+    before_names = len([arg for arg in node.args if not isinstance(arg, ast.Keyword)])
+    if before_names > len(names):
+        skip(node, c)
+        return c.error("K014", f"{type_.name} has {len(names)} fields, not {before_names}", node.span, takes)
+    poisoned, named = False, False
+    for position, arg in enumerate(node.args):
+        if isinstance(arg, ast.Keyword):
+            name, value, span, named = arg.name, arg.value, arg.span, True
+        elif named:
+            c.error("K014", "a value without a name stands behind one with a name", arg.span, takes)
+            poisoned = True
+            continue
+        else:
+            name, value, span = names[position], arg, arg.span
+        poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
+    if poisoned:
+        return c.poison(node.span)
+    missing = [name for name in names if name not in given]
+    if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
+        message = f"{type_.name} lacks {', '.join(missing)}: in the first value of a field it has no first values yet"
+        return c.error("K014", message, node.span, f"give each field of {type_.name} a value here")
+    first = dict(zip(names, record.defaults, strict=False))
+    return ir.Make(tuple([given[name] if name in given else first[name] for name in names]), type_, node.span)
+
+
+def _field(
+    record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
+    c: Context,
+) -> bool:  # fmt: skip
+    """Whether a field's value is right; it is `given` then."""
+    field = field_of(type_, name)
+    if field is None:
+        check_expr(value, c)
+        c.error("K015", f"{record} has no field {name}", span, c.nearest(name, [n for n, _ in type_.fields]) or takes)
+        return False
+    checked = fitting(check_expr(value, c, field), field, f"{record}.{name}", c)
+    if name in given:
+        c.error("K014", f"{record}.{name} is given twice", span)
+        return False
+    given[name] = checked
+    return checked.type is not POISON

@@ -1,0 +1,395 @@
+"""Displays, indices, slices, `in`, and what loops and quantifiers run over."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.facts import range_facts
+from koordgen.lang.check import bounds
+from koordgen.lang.check.base import (
+    a,
+    argument,
+    check_expr,
+    condition,
+    fitting,
+    is_display,
+    per_robot,
+    same,
+    widened,
+)
+from koordgen.lang.check.context import Context, Temp
+from koordgen.lang.check.expressions.name import declared_port, module_named, shared_in_init
+from koordgen.lang.check.names import reserved
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.decl import Local, Module, Shared
+from koordgen.lang.ir.types import (
+    BALL,
+    BOOL,
+    FLOAT,
+    INT,
+    POINT,
+    POISON,
+    RECT,
+    SHARED_ELEMENTS,
+    STRING,
+    MapOf,
+    PerRobot,
+    Sequence,
+    TupleOf,
+    Type,
+    is_key,
+    list_of,
+)
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+
+_INTS = list_of(INT)
+
+
+# Displays
+
+
+def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """`[a, b]`: a List, or a Queue or Set where one is wanted."""
+    name = wanted.name if isinstance(wanted, Sequence) else "List"
+    element = wanted.element if isinstance(wanted, (Sequence, PerRobot)) else None
+    if not node.items and element is None:
+        return _empty(node, "[]", "List<Point>", c, wanted)
+    return _sequence(name, node.items, element, node.span, c)
+
+
+def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """`{a, b}`"""
+    element = wanted.element if isinstance(wanted, Sequence) and wanted.name == "Set" else None
+    made = _sequence("Set", node.items, element, node.span, c)
+    if isinstance(made.type, Sequence) and not is_key(made.type.element):
+        return _no_key(made.type.element, "an element of a Set", node.items[0].span, c)
+    return made
+
+
+def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """`{k: v}`, and `{}`, an empty map or set as is wanted."""
+    if not node.items and isinstance(wanted, Sequence) and wanted.name == "Set":
+        return ir.Make((), wanted, node.span)
+    kinds: list[Type | None] = [wanted.key, wanted.value] if isinstance(wanted, MapOf) else [None, None]
+    if not node.items and kinds[0] is None:
+        return _empty(node, "{}", "Map<string, int>", c, wanted)
+    keys = _items(tuple([k for k, _ in node.items]), kinds[0], "a key", c)
+    values = _items(tuple([v for _, v in node.items]), kinds[1], "a value", c)
+    if keys is None or values is None:
+        return c.poison(node.span)
+    key = kinds[0] or keys[0].type
+    value = kinds[1] or values[0].type
+    if not is_key(key):
+        return _no_key(key, "the key of a Map", node.items[0][0].span, c)
+    both = TupleOf((key, value))
+    pairs = tuple([ir.Make((k, v), both, k.span) for k, v in zip(keys, values, strict=True)])
+    return ir.Make(pairs, MapOf(key, value, SHARED_ELEMENTS), node.span)
+
+
+def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """`(a, b)`"""
+    parts: tuple[Type | None, ...] = (None,) * len(node.items)
+    if isinstance(wanted, TupleOf) and len(wanted.items) == len(node.items):
+        parts = wanted.items
+    items = []
+    for item, part in zip(node.items, parts, strict=True):
+        value = check_expr(item, c, part)
+        items.append(_whole(widened(value, part) if part is not None else value, c))
+    if any(item.type is POISON for item in items):
+        return c.poison(node.span)
+    return ir.Make(tuple(items), TupleOf(tuple([item.type for item in items])), node.span)
+
+
+def _sequence(name: str, nodes: tuple[ast.Expr, ...], element: Type | None, span: Span, c: Context) -> ir.Expr:
+    items = _items(nodes, element, f"an element of this {name}", c)
+    if items is None or element is POISON:
+        return c.poison(span)
+    return ir.Make(tuple(items), Sequence(name, element or items[0].type, SHARED_ELEMENTS), span)
+
+
+def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr] | None:
+    """The items of a display, all of one type: the wanted one, or else the first one's (with floats, ints widen).
+    None where one is wrong."""
+    if type_ is not None:
+        checked = [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
+        return None if any(item.type is POISON for item in checked) else checked
+    typed = next((node for node in nodes if not is_display(node)), nodes[0])
+    first = _whole(check_expr(typed, c), c)
+    checked = [first if node is typed else _whole(check_expr(node, c, first.type), c) for node in nodes]
+    if any(item.type is POISON for item in checked):
+        return None
+    common = FLOAT if first.type is INT and any(item.type is FLOAT for item in checked) else first.type
+    checked = [widened(item, common) for item in checked]
+    for item in checked:
+        if not same(item.type, common):
+            message = f"this is {a(item.type)}, and the first is {a(common)}: all must be of one type"
+            c.error("K012", message, item.span, labels=(Label(first.span, f"{a(common)}"),))
+            return None
+    return checked
+
+
+def _whole(value: ir.Expr, c: Context) -> ir.Expr:
+    """A part of a composed value: not one value a robot."""
+    return per_robot(value, c) if isinstance(value.type, PerRobot) else value
+
+
+def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | None) -> ir.Expr:
+    if wanted is POISON:
+        return c.poison(node.span)
+    if wanted is not None:
+        return c.error("K012", f"{a(wanted)} is wanted here, not {text}", node.span)
+    help = f"give it one: '{example} name = {text}'"
+    return c.error("K051", f"nothing here tells the type of {text}", node.span, help)
+
+
+def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
+    return c.error("K052", f"{a(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these")
+
+
+# Indices
+
+
+def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.Expr:
+    value = node.value
+    if type(value) is ast.Name and c.temp(value.name) is None:
+        entity = c.entities.get(value.name)
+        if type(entity) is Shared and entity.kind == "allread":
+            return _slot(node, entity, c)
+        if type(entity) is Local and c.place == "property":
+            index = robot(node.index, c)
+            return index if index.type is POISON else ir.LocalOf(entity.name, index, entity.type, node.span)
+    elif type(value) is ast.Attribute and c.place == "property":
+        module = module_named(value.value, c)
+        if module is not None:
+            return _port_of(node, value, c)
+    operand = check_expr(value, c)
+    index = check_expr(node.index, c)
+    if operand.type is POISON or index.type is POISON:
+        return c.poison(node.span)
+    return element(operand, index, node, c)
+
+
+def robot(node: ast.Expr, c: Context) -> ir.Expr:
+    """A robot's index in a property, always one of the fleet's."""
+    index = fitting(check_expr(node, c), INT, "an index", c)
+    if index.type is not POISON:
+        bounds.index_proved(index, node.span, c)
+    return index
+
+
+def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
+    module = module_named(value.value, c)
+    assert module is not None
+    port = declared_port(module, value, c)
+    index = robot(node.index, c)
+    if port is None or index.type is POISON:
+        return c.poison(node.span)
+    if port.direction not in ("sensor", "actuator"):
+        return c.error("K054", f"{module.name}.{port.name} has no value that a property could speak of", node.span)
+    return ir.PortOf(module.name, port.name, index, port.type, node.span)
+
+
+def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
+    name = entity.name
+    index = fitting(check_expr(node.index, c), INT, "an index", c)
+    if index.type is POISON or entity.type is POISON:
+        return c.poison(node.span)
+    match c.place:
+        case "constant":
+            message = f"an initial value cannot depend on the variable {name}"
+            return c.error("K025", message, node.span, "set it in init")
+        case "function" | "contract" | "assume":
+            return check_expr(node.value, c)  # which says why not
+        case "init" if not isinstance(index, ir.Pid):
+            return shared_in_init(c.text(node.span), node.span, c)
+    proved = type(index) is ir.Pid or bounds.index_proved(index, node.span, c)
+    return ir.SlotRead(name, index, proved, entity.type, node.span)
+
+
+def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context, judged: bool = True) -> ir.Expr:
+    """`operand[index]` of a value. Unless `judged`, no one reads it, and its index is not judged."""
+    match operand.type:
+        case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
+            pass
+        case MapOf(key, value):
+            index = fitting(index, key, "the key", c)
+            return index if index.type is POISON else ir.Builtin("map_at", (operand, index), value, node.span)
+        case TupleOf(items):
+            return _item(operand, items, node, c)
+        case other if other == STRING:
+            type_ = STRING
+        case other:
+            return _no_index(operand, other, node, c)
+    index = fitting(index, INT, "an index", c)
+    if index.type is POISON:
+        return index
+    proved = judged and bounds.element_proved(operand, index, node.span, c)
+    return ir.At(operand, index, proved, type_, node.span)
+
+
+def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context) -> ir.Expr:
+    match node.index:
+        case ast.Literal(int(number)) if not isinstance(number, bool):
+            if number < len(items):
+                return ir.Item(operand, number, items[number], node.span)
+            message = f"{c.text(node.value.span)} has {len(items)} items: the last is [{len(items) - 1}]"
+            return c.error("K030", message, node.span)
+        case _:
+            help = f"write [0] to [{len(items) - 1}]"
+            return c.error("K017", "the index of a tuple is a number that is written out", node.index.span, help)
+
+
+def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.Expr:
+    text = c.text(node.value.span)
+    named = isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead))
+    if named and not isinstance(type_, Sequence):
+        return c.error("K017", f"{text} is one value and takes no index", node.span, _part_help(text, type_))
+    return c.error("K017", f"{a(type_)} has no index", node.span, _part_help(text, type_))
+
+
+def _part_help(text: str, type_: Type) -> str:
+    if type_ is POINT:
+        return f"a Point's coordinates are {text}.x, {text}.y and {text}.z"
+    return "a Set has no order; 'for x in s' goes through it" if isinstance(type_, Sequence) else ""
+
+
+def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.Expr:
+    operand = check_expr(node.value, c)
+    ends = [fitting(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
+    if operand.type is POISON or any(e is not None and e.type is POISON for e in ends):
+        return c.poison(node.span)
+    type_ = operand.type
+    if not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
+        return c.error("K017", f"{a(type_)} has no slices", node.span)
+    proved = [bounds.end_proved(e, node.span, c) for e in ends if e is not None]
+    return ir.Slice(operand, ends[0], ends[1], all(proved), type_, node.span)
+
+
+# Containment
+
+
+def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c: Context) -> ir.Expr:
+    """`item in values`, `item not in values`."""
+    if is_display(second) and not is_display(first):
+        item = check_expr(first, c)
+        known = item.type is FLOAT or not second.items
+        values = check_expr(second, c, list_of(item.type) if known else None)
+    else:
+        values = check_expr(second, c)
+        item = check_expr(first, c, _held(values.type))
+    if item.type is POISON or values.type is POISON:
+        return c.poison(span)
+    held = _held(values.type)
+    if held is None:
+        help = "a distance says whether two points are near" if values.type is POINT else ""
+        return c.error("K012", f"'{op}' does not apply to {a(values.type)}", values.span, help)
+    if values.type == STRING or held is POINT or isinstance(values.type, MapOf):
+        what = f"what is looked for in {a(values.type)}"
+    else:
+        what = f"an element of this {values.type.name if isinstance(values.type, Sequence) else 'variable'}"
+    item = argument(item, held, what, c)
+    if item.type is POISON:
+        return item
+    found = ir.Contains(item, values, BOOL, span)
+    return found if op == "in" else ir.Unary("not", found, BOOL, span)
+
+
+def _held(type_: Type) -> Type | None:
+    """Of what type that is which can be in a value."""
+    match type_:
+        case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
+            return held
+        case _:
+            return POINT if type_ is RECT or type_ is BALL else type_ if type_ == STRING else None
+
+
+# What loops and quantifiers run over
+
+
+def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
+    """`range(...)`, or a value with elements."""
+    if isinstance(node, ast.Call) and isinstance(node.function, ast.Name) and node.function.name == "range":
+        return _range(node, c)
+    values = check_expr(node, c)
+    if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
+        return values
+    help = f"write range({c.text(node.span)})" if values.type is INT else ""
+    return c.error("K012", f"{a(values.type)} has no elements to run over", node.span, help)
+
+
+def elements(values: ir.Expr) -> Type:
+    """The type of what a loop over them takes one by one."""
+    match values.type:
+        case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
+            return held
+        case _:
+            return POISON
+
+
+def _range(node: ast.Call, c: Context) -> ir.Expr:
+    if not 1 <= len(node.args) <= 3 or any(isinstance(arg, ast.Keyword) for arg in node.args):
+        help = "range(stop), range(start, stop) or range(start, stop, step)"
+        return c.error("K014", f"range takes 1 to 3 arguments, not {len(node.args)}", node.span, help)
+    args = [fitting(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
+    if any(arg.type is POISON for arg in args):
+        return c.poison(node.span)
+    step = _step(args[2]) if len(args) == 3 else 1
+    if not step:
+        return c.error("K012", "the step of a range is a number that is written out, and not 0", args[2].span)
+    start = args[0] if len(args) > 1 else ir.Const(0, INT, node.span)
+    return ir.Range(start, args[1] if len(args) > 1 else args[0], step, _INTS, node.span)
+
+
+def _step(node: ir.Expr) -> int:
+    match node:
+        case ir.Const(int(value)):
+            return value
+        case ir.Unary("-", ir.Const(int(value))):
+            return -value
+        case _:
+            return 0
+
+
+def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
+    """Several names arrive nested, each over the same domain."""
+    if c.place not in ("property", "contract", "assume") and c.entry is None:
+        help = "a loop goes through them: 'for i in ID:'"
+        message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
+        return c.error("K054", message, node.span, help)
+    domain = check_domain(node.domain, c)
+    saved = c.path
+    c.scopes.append({})
+    temps = []
+    for name in node.names:
+        temp = declare(name.name, elements(domain), name.span, c)
+        if temp is not None:
+            temps.append(temp)
+            if c.flow is not None:
+                for fact in range_facts(temp.unique, domain, c.flow, c.flow):
+                    c.flow = c.flow.knowing(fact)
+    body = condition(node.body, c, f"what follows '{node.kind}'")
+    c.scopes.pop()
+    c.path = saved
+    if domain.type is POISON or body.type is POISON or len(temps) < len(node.names):
+        return c.poison(node.span)
+    for temp in reversed(temps):
+        body = ir.Quantified(node.kind, temp.unique, domain, body, BOOL, node.span)
+    return body
+
+
+def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
+    """A new name for the innermost block; None after reporting that it is taken (its uses are then of the new type).
+    In a function it may be that of a variable or module, which functions cannot read anyway."""
+    temp = Temp(c.mint(name), type_, span)
+    earlier, entity = c.temp(name), c.entities.get(name)
+    unseen = bool(c.function) and isinstance(entity, (Local, Shared, Module))
+    if earlier is None and (unseen or name not in c.entities) and not reserved(name):
+        c.scopes[-1][name] = temp
+        return temp
+    first = earlier.span if earlier is not None else entity.span if entity is not None else None
+    labels = (Label(first, "declared here first"),) if first is not None else ()
+    what = "is declared already" if earlier is not None or name in c.entities else "is predefined"
+    c.error("K011", f"{name} {what}", span, "choose another name", labels)
+    if earlier is None:
+        c.scopes[-1][name] = temp
+    return None

@@ -1,0 +1,285 @@
+"""Expressions: resolves names, gives every node its type, has its indices and divisors judged."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.path import Condition
+from koordgen.lang.check import bounds
+from koordgen.lang.check.base import (
+    CHECKERS,
+    NUMBERS,
+    a,
+    as_bool,
+    check_expr,
+    condition,
+    default,
+    fitting,
+    has_call,
+    is_display,
+    per_robot,
+    same,
+    widened,
+)
+from koordgen.lang.check.context import Context
+from koordgen.lang.check.expressions.collection import (
+    check_containment,
+    check_index,
+    check_list,
+    check_map,
+    check_quantified,
+    check_set,
+    check_slice,
+    check_tuple,
+)
+from koordgen.lang.check.expressions.dialect import modern_logic, modern_not
+from koordgen.lang.check.expressions.domain import check_called, judge_power
+from koordgen.lang.check.expressions.name import check_attribute, check_name, check_primed
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POISON, STRING, PerRobot, Sequence, Type
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+
+__all__ = ["arithmetic", "check_expr", "condition", "default", "fitting", "widened"]
+
+_LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
+
+
+def _literal(node: ast.Literal, c: Context, wanted: Type | None) -> ir.Expr:
+    return ir.Const(node.value, _LITERALS[type(node.value)], node.span)
+
+
+def _broken(node: ast.Broken, c: Context, wanted: Type | None) -> ir.Expr:
+    return c.poison(node.span)
+
+
+def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
+    op = node.op
+    if op == "!":
+        modern_not(node, c)
+        op = "not"
+    operand = check_expr(node.operand, c)
+    type_ = operand.type
+    if type_ is POISON:
+        return operand
+    if type_ is BOOL if op == "not" else type_ is INT or type_ is FLOAT or type_ is POINT:
+        return ir.Unary(op, operand, type_, node.span)
+    if isinstance(type_, PerRobot):
+        return per_robot(operand, c)
+    help = as_bool(operand, c, "==") if op == "not" else ""
+    return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help)
+
+
+def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
+    if node.op == "<<":
+        help = "it is a statement of its own: 'Log.stdout << a << b'"
+        return c.error("K056", "'<<' sends to a stream and has no value", node.span, help)
+    if node.op == "+" and is_display(node.left):
+        if is_display(node.right):
+            left = check_expr(node.left, c, wanted)
+            return arithmetic("+", left, check_expr(node.right, c, left.type), node.span, c)
+        right = check_expr(node.right, c)
+        return arithmetic("+", check_expr(node.left, c, right.type), right, node.span, c)
+    left = CHECKERS[type(node.left)](node.left, c, wanted)
+    right = CHECKERS[type(node.right)](node.right, c, left.type)
+    return arithmetic(node.op, left, right, node.span, c)
+
+
+def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
+    """`left op right`, typed; a divisor is shown not to be zero, or reported."""
+    first, second = left.type, right.type
+    if first is POISON or second is POISON:
+        return c.poison(span)
+    result: Type | None = None
+    if (first is INT or first is FLOAT) and (second is INT or second is FLOAT):
+        if first is not second:
+            left, right = widened(left, FLOAT), widened(right, FLOAT)
+        result = FLOAT if op == "/" else left.type
+    elif op in ("+", "-") and first is POINT and second is POINT:
+        result = POINT
+    elif op in ("*", "/") and first is POINT and second in NUMBERS:
+        right, result = widened(right, FLOAT), POINT
+    elif op == "*" and first in NUMBERS and second is POINT:
+        left, result = widened(left, FLOAT), POINT
+    elif op == "+" and (first == STRING or (isinstance(first, Sequence) and first.name == "List")) and first == second:
+        result = first
+    if result is None:
+        return _no_operator(op, left, right, span, c)
+    if op == "**" and result is INT:
+        bounds.exponent(right, span, c)
+    proved = op not in ("/", "//", "%") or bounds.divisor_proved(right, span, c)
+    value = ir.Binary(op, left, right, proved, result, span)
+    if op == "**" and result is FLOAT:
+        judge_power(value, c)
+    return value
+
+
+def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
+    for side in (left, right):
+        if isinstance(side.type, PerRobot):
+            return per_robot(side, c)
+    help = ""
+    if op == "+" and STRING in (left.type, right.type):
+        help = _joined(left, right, c)
+    elif op == "%" and left.type == STRING:
+        help = "texts are joined: 'n is ' + str(n)"
+    elif BOOL in (left.type, right.type):
+        held = left if left.type is BOOL else right
+        help = "bools are joined with 'and' and 'or'"
+        help = help if left.type == right.type else f"a number of it is '(1 if {c.text(held.span)} else 0)'"
+    elif op == "*" and left.type is POINT and right.type is POINT:
+        help = "multiply their coordinates: p.x * q.x + p.y * q.y"
+    elif op in ("+", "-") and POINT in (left.type, right.type):
+        help = "to a Point a Point is added: p + Point(x, y, z)"
+    elif op == "+" and isinstance(left.type, Sequence) and same(left.type.element, right.type):
+        verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
+        help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
+    return c.error("K012", f"'{op}' does not apply to {a(left.type)} and {a(right.type)}", span, help)
+
+
+def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """The help for a text and a value that is none, joined with '+'."""
+    value = right if left.type == STRING else left
+    if value.type in (*NUMBERS, BOOL, POINT):
+        text = c.text(value.span)
+        return f"write str({text})" if len(text) <= 40 else "str(...) makes a string of a number or a bool"
+    return "join its parts, or its length: str(len(...))"
+
+
+def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
+    """A chain is the `and` of its pairs: an expression evaluated twice gives the same twice, calls of ports apart."""
+    if len(node.rest) == 1:
+        ((op, right_node),) = node.rest
+        if op == "in" or op == "not in":
+            return check_containment(op, node.first, right_node, node.span, c)
+        left, right = _sides(node.first, right_node, c)
+        return _pair(op, left, right, node.span, c)
+    return _chain(node, c)
+
+
+def _sides(first: ast.Expr, second: ast.Expr, c: Context) -> tuple[ir.Expr, ir.Expr]:
+    """Both sides; a display learns its type from the other side."""
+    if is_display(first) and not is_display(second):
+        right = check_expr(second, c)
+        return check_expr(first, c, right.type), right
+    left = CHECKERS[type(first)](first, c, None)
+    return left, CHECKERS[type(second)](second, c, left.type)
+
+
+def _chain(node: ast.Compare, c: Context) -> ir.Expr:
+    result: ir.Expr | None = None
+    poisoned = False
+    left: ir.Expr | None = None
+    before = node.first
+    for op, right_node in node.rest:
+        if op in ("in", "not in"):
+            help = "join the two with 'and'"
+            return c.error("K012", f"'{op}' has no place in a chain of comparisons", node.span, help)
+        if left is None:
+            left, right = _sides(before, right_node, c)
+        else:
+            if has_call(left, (ir.PortCall,)):
+                help = "keep its answer in a variable first"
+                return c.error("K027", "a call of a port has no place within a chain", left.span, help)
+            right = check_expr(right_node, c, left.type)
+        pair = _pair(op, left, right, node.span, c)
+        poisoned = poisoned or pair.type is POISON
+        result = pair if result is None else ir.Logic("and", result, pair, BOOL, node.span)
+        left = right
+    assert result is not None
+    return c.poison(node.span) if poisoned else result
+
+
+def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
+    first, second = left.type, right.type
+    if first is POISON or second is POISON:
+        return c.poison(span)
+    if (first is INT or first is FLOAT) and (second is INT or second is FLOAT):
+        if first is not second:
+            left, right = widened(left, FLOAT), widened(right, FLOAT)
+        return ir.Compare(op, left, right, BOOL, span)
+    for side in (left, right):
+        if isinstance(side.type, PerRobot):
+            return per_robot(side, c)
+    if not same(first, second):
+        return c.error("K012", f"{a(first)} and {a(second)} cannot be compared", span, _alike(left, right, c))
+    if op not in ("==", "!=") and first != STRING:
+        help = "compare their coordinates, or distances" if first is POINT else "only '==' and '!=' compare these"
+        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help)
+    return ir.Compare(op, left, right, BOOL, span)
+
+
+def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """The help for two values that cannot be compared."""
+    for value, other in ((left, right), (right, left)):
+        if other.type == STRING and value.type in NUMBERS:
+            return f"write str({c.text(value.span)})"
+        if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
+            return as_bool(value, c).replace("compare it", "a bool of it is")
+    return ""
+
+
+def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
+    op = modern_logic(node, c)
+    left = check_expr(node.left, c)
+    saved, poisoned = c.path, c.poisoned
+    if saved is not None and left.type is BOOL:
+        held = Condition(left, saved)
+        c.path = saved.passing(held) if op == "and" else saved.failing(held)
+    c.poisoned = poisoned or left.type is POISON
+    right = check_expr(node.right, c)
+    c.path, c.poisoned = saved, poisoned
+    if left.type is POISON or right.type is POISON:
+        return c.poison(node.span)
+    for side in (left, right):
+        if side.type is not BOOL:
+            return c.error("K013", f"'{op}' joins bools, not {a(side.type)}", side.span, as_bool(side, c))
+    return ir.Logic(op, left, right, BOOL, node.span)
+
+
+def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.Expr:
+    held = condition(node.condition, c, "the condition of 'if'")
+    saved, poisoned = c.path, c.poisoned
+    yes = no = saved
+    if saved is not None and held.type is BOOL:
+        known = Condition(held, saved)
+        yes, no = saved.passing(known), saved.failing(known)
+    c.poisoned = poisoned or held.type is POISON
+    first, second = (node.then, yes), (node.orelse, no)
+    turned = wanted is None and is_display(node.then) and not is_display(node.orelse)
+    checked: list[ir.Expr] = []
+    for side, c.path in (second, first) if turned else (first, second):
+        checked.append(check_expr(side, c, wanted))
+        wanted = wanted or checked[0].type
+    then, orelse = reversed(checked) if turned else checked
+    c.path, c.poisoned = saved, poisoned
+    if held.type is POISON or then.type is POISON or orelse.type is POISON:
+        return c.poison(node.span)
+    then, orelse = widened(then, orelse.type), widened(orelse, then.type)
+    if isinstance(then.type, PerRobot):
+        return per_robot(then, c)
+    if not same(then.type, orelse.type):
+        return c.error("K012", f"this is {a(then.type)} or {a(orelse.type)}; both must be of one type", node.span)
+    return ir.Conditional(held, then, orelse, then.type, node.span)
+
+
+CHECKERS.update(
+    {
+        ast.Name: check_name,
+        ast.Literal: _literal,
+        ast.Attribute: check_attribute,
+        ast.Primed: check_primed,
+        ast.Index: check_index,
+        ast.Slice: check_slice,
+        ast.Call: check_called,
+        ast.Tuple: check_tuple,
+        ast.ListDisplay: check_list,
+        ast.SetDisplay: check_set,
+        ast.MapDisplay: check_map,
+        ast.Unary: _unary,
+        ast.Binary: _binary,
+        ast.Compare: _compare,
+        ast.Logic: _logic,
+        ast.Conditional: _conditional,
+        ast.Quantified: check_quantified,
+        ast.Broken: _broken,
+    }
+)

@@ -1,0 +1,406 @@
+"""Names, ports and fields: what they mean, and whether they may be read at the place where they stand."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator
+
+from koordgen.lang.check.base import a, check_expr
+from koordgen.lang.check.context import PREDEFINED, Context
+from koordgen.lang.check.expressions.dialect import VALUES, old_name
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS, METHODS, UPDATES
+from koordgen.lang.ir.decl import (
+    ExternFunction,
+    ExternType,
+    Function,
+    Local,
+    Module,
+    Param,
+    Port,
+    Record,
+    Shared,
+    SpecFunction,
+)
+from koordgen.lang.ir.types import (
+    FLOAT,
+    GENERIC,
+    GRID,
+    INT,
+    NAMED,
+    POINT,
+    POISON,
+    POSE,
+    SCAN,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    Type,
+    list_of,
+)
+from koordgen.lang.node import Node, replace
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+from koordgen.lang.syntax import stmt as tree
+from koordgen.lang.syntax.decl import Effect, Event, Init, Priority, Section
+from koordgen.lang.syntax.decl import Function as Fun
+
+_MEANT = {"me": "pid"}
+_NOTHING = "Koord has no empty value: let a bool, or a value that means nothing else, say it"
+FOREIGN = {
+    "None": _NOTHING,
+    "null": _NOTHING,
+    "nil": _NOTHING,
+    "self": "a variable stands by its own name; this robot's index is pid",
+    "this": "a variable stands by its own name; this robot's index is pid",
+    **dict.fromkeys(("math", "np", "numpy"), "functions and constants stand by their own names: sqrt(x), sin(x), pi"),
+}
+# Constants of Python's math -> how Koord has it.
+_MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
+# Functions of other languages -> how Koord has it.
+NO_FUNCTIONS = {
+    "int": "a float never becomes an int by itself: floor, ceil and round make one",
+    "float": "an int becomes a float by itself",
+    "bool": "compare it: '!= 0'",
+    "print": "a stream shows text: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
+    "pow": "write a ** b",
+    "enumerate": "count with 'for i in range(len(xs)):'",
+    "zip": "count with 'for i in range(len(xs)):'",
+    "list": "write [a, b]",
+    "set": "write {a, b}",
+    "dict": "write {k: v}",
+    "any": "a loop finds one: for x in xs: if x: found = True",
+    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
+    "map": "fill a list in a loop: for x in xs: ys.append(...)",
+    "filter": "fill a list in a loop: for x in xs: ys.append(...)",
+    "isinstance": "a variable's type is the one it is declared with",
+    "type": "a variable's type is the one it is declared with",
+    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
+}
+# What one writes by habit -> (types that have it, what to write; "_" is the object).
+HABITS: dict[str, dict[str, str]] = {
+    "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
+    "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
+              "get": "pop"},
+    "Set": {"append": "add", "push": "add", "insert": "add", "discard": "remove", "delete": "remove"},
+    "Map": {"pop": "remove", "delete": "remove"},
+}  # fmt: skip
+_IDS, _FLOATS = list_of(INT), list_of(FLOAT)
+FIELDS: dict[str, dict[str, Type]] = {
+    POINT.name: {"x": FLOAT, "y": FLOAT, "z": FLOAT},
+    POSE.name: {"position": POINT, "yaw": FLOAT},
+    GRID.name: {"x": INT, "y": INT, "size": FLOAT},
+    SCAN.name: {"angles": _FLOATS, "ranges": _FLOATS, "max_range": FLOAT},
+}
+_LOOP = "keep it in a variable that is declared before the loop"
+_LENGTHS = ("length", "size", "len", "count", "Length", "Count")
+_INSTEAD_OF_A_ROBOT = {"pid": "name robots: 'forall i in ID:'"}
+
+
+def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Expr:
+    name, span = node.name, node.span
+    temp = c.temp(name)
+    if temp is not None:
+        return ir.TempRead(temp.unique, temp.type, span)
+    if c.place == "assume":
+        found = _port_of(c.entities.get(c.module), name)
+        if found is not None:
+            return _read_port(c.module, found, span, c)
+    if name not in c.entities:
+        return _predefined(node, c)
+    entity = c.entities[name]
+    match entity:
+        case Local(type=type_):
+            c.mention(name)
+            return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
+        case None:
+            return c.poison(span)
+        case Param(type=type_):
+            return ir.ParamRead(name, type_, span)
+        case Shared():
+            return _shared(name, entity, span, c)
+        case Module():
+            return c.error("K017", f"{name} is a module, not a value", span, f"name one of its ports: {name}.port")
+        case Record():
+            return c.error("K017", f"{name} is a record, not a value", span, f"{name}(...) makes one")
+        case ExternType():
+            return c.error("K017", f"{name} is a type, not a value", span)
+        case Function() | ExternFunction() | SpecFunction():
+            return c.error("K017", f"{name} is a function and must be called", span, f"write {name}(...)")
+
+
+def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
+    if c.place != "property":
+        wrong = refused("the variable ", name, span, c)
+        if wrong is not None:
+            return wrong
+    if c.place == "init":
+        return shared_in_init(name, span, c)
+    if entity.kind == "allread":
+        return ir.SlotsRead(name, PerRobot(entity.type), span)
+    c.read_shared.add(name)
+    c.mention(name)
+    return ir.SharedRead(name, entity.type, span)
+
+
+def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
+    help = "other robots may not have run init yet: use a local variable, or do this in an event"
+    return c.error("K023", f"init cannot read {name}: it is shared", span, help)
+
+
+def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
+    """Reports that what is one robot's has no meaning here; None where it has. `what` is "the port " or the like."""
+    match c.place:
+        case "init" | "guard" | "effect":
+            return None
+        case "constant":
+            return c.error("K025", f"an initial value cannot depend on {what}{name}", span, "set it in init")
+        case "function" | "contract":
+            message = f"a function reads its parameters and params only: {what}{name} is neither"
+            return c.error("K027", message, span, "hand it over as an argument")
+        case "property":
+            help = _INSTEAD_OF_A_ROBOT.get(name, f"write {name}[i], with 'forall i in ID:' before it")
+            return c.error("K054", f"a property does not say whose {name} this is", span, help)
+        case _:
+            message = f"an assumption speaks of its module's ports, params and pid only, not of {what}{name}"
+            return c.error("K054", message, span)
+
+
+def _predefined(node: ast.Name, c: Context) -> ir.Expr:
+    name, span = node.name, node.span
+    if name == "pid":
+        c.mention(name)
+        return (refused("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
+    if name == "N_SYS" or name == "ID":
+        wrong = refused("", name, span, c) if c.place not in ("property", "assume") else None
+        return wrong or (ir.NSys(INT, span) if name == "N_SYS" else ir.Ids(_IDS, span))
+    if name in CONSTANTS:
+        return ir.Const(CONSTANTS[name], FLOAT, span)
+    if name in FUNCTIONS:
+        return c.error("K017", f"{name} is a function and must be called", span, f"write {name}(...)")
+    if name in NAMED or name in GENERIC:
+        return c.error("K017", f"{name} is a type, not a value", span)
+    if name == "range":
+        return c.error("K017", "range is no value", span, "it stands in a loop: 'for i in range(n):'")
+    if name in VALUES:
+        return check_expr(old_name(node, c), c)
+    return undefined(name, span, c)
+
+
+def undefined(name: str, span: Span, c: Context) -> ir.Expr:
+    """Reports a name that nothing has, unless it may stand in what could not be read."""
+    if name in c.broken or name in c.owners:
+        return c.poison(span)
+    if c.place == "assume":
+        from koordgen.lang.check.property import goal
+
+        temp = goal(name, span, c)
+        if temp is not None:
+            return ir.TempRead(temp.unique, temp.type, span)
+    if c.place == "property":
+        from koordgen.lang.check.property import any_value
+
+        temp = any_value(name, span, c)
+        if temp is not None:
+            return ir.TempRead(temp.unique, temp.type, span)
+    if is_event(name, c):
+        help = "a robot chooses its events by their guards; a variable can tell that one has run"
+        return c.error("K017", f"{name} is an event, not a value", span, help)
+    if ended(name, span, c):
+        return c.poison(span)
+    if name in ("raise", "throw"):
+        from koordgen.lang.syntax.habits import FOREIGN as WORDS
+
+        return c.error("K010", f"Koord has no '{name}'", span, WORDS[name])
+    help = FOREIGN.get(name) or c.nearest(name, c.visible(), _MEANT)
+    if not help and c.place == "property":
+        help = f"if it is a robot, name it: 'forall {name} in ID:'"
+    return c.error("K010", f"{name} is not defined", span, help)
+
+
+def not_called(name: str, span: Span, c: Context) -> ir.Expr:
+    """Report a call of a value, which may have, and hide, the name of a builtin function."""
+    owner = c.temp(name) or c.entities.get(name)
+    if name not in FUNCTIONS or owner is None:
+        return c.error("K017", f"{name} is not a function", span)
+    labels = (Label(owner.span, f"hides the builtin {name}"),)
+    message = f"{name} is not a function here: a variable has its name"
+    return c.error("K017", message, span, "give the variable another name", labels)
+
+
+def is_event(name: str, c: Context) -> bool:
+    return f"event {name}" in c.owners
+
+
+def ended(name: str, span: Span, c: Context) -> bool:
+    """Reports a variable of a block or a loop that is used behind it; false where a name is none."""
+    if name not in c.minted or c.program is None:
+        return False
+    here = span.line, span.column
+    sections = c.program.sections
+    section = sections[bisect_left(sections, here, key=_start) - 1]
+    for statement in _backwards(section, here):
+        match statement:
+            case tree.Declare(type_, declared, place) if declared == name:
+                help = f"declare it before the block: '{c.text(type_.span)} {name}'"
+            case tree.For(names=names) if name in [part.name for part in names]:
+                place, help = statement.span, _LOOP
+            case tree.CountedFor(ast.Name(counter)) if counter == name:
+                place, help = statement.span, _LOOP
+            case _:
+                continue
+        labels = (Label(place, "declared here, and gone with the block"),)
+        c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
+        return True
+    return False
+
+
+def _start(node: Section | tree.Stmt) -> tuple[int, int]:
+    return node.span.line, node.span.column
+
+
+def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
+    """The blocks of a section or a statement."""
+    match node:
+        case Event(clauses=clauses):
+            return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
+        case Priority(events):
+            return tuple([block for event in events for block in _inner(event)])
+        case tree.If(branches, orelse):
+            return (*(branch.block for branch in branches), orelse)
+        case Init(block) | Fun(block=block) | tree.Atomic(block):
+            return (block,)
+        case tree.For(block=block) | tree.CountedFor(block=block) | tree.While(block=block):
+            return (block,)
+        case _:
+            return ()
+
+
+def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tree.Stmt]:
+    """The statements within that stand before a place, the last one first."""
+    for block in reversed(_inner(node)):
+        for place in range(bisect_left(block, here, key=_start) - 1, -1, -1):
+            yield from _backwards(block[place], here)
+            yield block[place]
+
+
+def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None) -> ir.Expr:
+    module = module_named(node.value, c)
+    if module is not None:
+        port = declared_port(module, node, c)
+        return c.poison(node.span) if port is None else _read_port(module.name, port, node.span, c)
+    if type(node.value) is ast.Name and unknown(node.value.name, c) and node.name.lower() in _MATHS:
+        name = node.value.name  # math.pi
+        return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
+    operand = check_expr(node.value, c)
+    if operand.type is POISON:
+        return c.poison(node.span)
+    field = field_of(operand.type, node.name)
+    if field is None:
+        return no_field(operand, node, c)
+    return ir.Field(operand, node.name, field, node.span)
+
+
+def module_named(node: ast.Expr, c: Context) -> Module | None:
+    """The module that an expression names, if it does."""
+    if type(node) is not ast.Name:
+        return None
+    entity = c.entities.get(node.name)
+    return entity if type(entity) is Module and c.temp(node.name) is None else None
+
+
+def _port_of(module: Node | None, name: str) -> Port | None:
+    for port in module.ports if isinstance(module, Module) else ():
+        if port.name == name:
+            return port
+    return None
+
+
+def assumed_port(name: str, c: Context) -> Module | None:
+    """The module of which an assumption speaks, if it has a port of that name."""
+    module = c.entities.get(c.module)
+    return module if isinstance(module, Module) and _port_of(module, name) is not None else None
+
+
+def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:
+    """The port `module.name`; None after reporting that the program does not declare it."""
+    port = _port_of(module, node.name)
+    if port is None and node.name not in c.broken:
+        help = c.nearest(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
+        c.error("K018", f"the port {module.name}.{node.name} is not declared", node.name_span, help)
+    return port
+
+
+def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
+    name = f"{module}.{port.name}"
+    if port.direction == "callable":
+        return c.error("K017", f"{name} is called, not read", span, f"write {name}(goal)")
+    if port.direction == "stream":
+        return c.error("K056", f"{name} is a stream and cannot be read", span, f"write {name} << ...")
+    if c.place == "assume" and module == c.module:
+        return ir.PortRead(module, port.name, False, port.type, span)
+    return refused("the port ", name, span, c) or ir.PortRead(module, port.name, False, port.type, span)
+
+
+def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
+    if c.place != "assume":
+        help = "primed is what a port may be in the next delta: 'assume position' in Rect(position, target)'"
+        return c.error("K054", "a prime has a meaning under 'assume' only", node.span, help)
+    value = check_expr(node.value, c)
+    if isinstance(value, ir.PortRead) and not value.primed:
+        return replace(value, primed=True, span=node.span)
+    return value if value.type is POISON else c.error("K054", "a prime follows the name of a port", node.span)
+
+
+def fields_of(type_: Type) -> dict[str, Type]:
+    return dict(type_.fields) if isinstance(type_, RecordType) else FIELDS.get(str(type_), {})
+
+
+def field_of(type_: Type, name: str) -> Type | None:
+    if type_ is POINT:
+        return FLOAT if name in ("x", "y", "z") else None
+    return fields_of(type_).get(name)
+
+
+def word_of(type_: Type) -> str:
+    """The word by which the tables of methods know a type."""
+    return type_.name if isinstance(type_, Sequence) else "Map" if isinstance(type_, MapOf) else str(type_)
+
+
+def methods_of(type_: Type) -> list[str]:
+    word = word_of(type_)
+    return [name for of, name in (*METHODS, *UPDATES, ("List", "pop"), ("Queue", "pop")) if of == word]
+
+
+def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
+    """Report that a value has no such field, with what may have been meant."""
+    type_, name, text = operand.type, node.name, c.text(node.value.span)
+    fields = fields_of(type_)
+    if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or str(type_) == "string"):
+        help = f"write len({text})"
+    elif name in methods_of(type_):
+        help = f"it is a method: {text}.{name}(...)"
+    elif isinstance(type_, PerRobot):
+        help = f"{text}[i] is robot i's"
+    elif isinstance(type_, MapOf):
+        help = f"the value of a key is {text}[key]"
+    else:
+        help = c.nearest(name, fields) or (f"{a(type_)} has {_listed(fields)}" if fields else "")
+    return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help)
+
+
+def _listed(fields: dict[str, Type]) -> str:
+    *others, last = (f".{name}" for name in fields)
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def unknown(name: str, c: Context) -> bool:
+    """Return whether nothing has a name, as far as the text could be read."""
+    return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
+
+
+def names_a_value(name: str, c: Context) -> bool:
+    """Whether a name is taken for something that is no builtin function."""
+    return c.temp(name) is not None or name in c.entities or (name in PREDEFINED and name not in FUNCTIONS)

@@ -1,0 +1,105 @@
+"""Loop invariants: where one may stand, what it may read, and `old(x)`, a variable's value where the loop begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from koordgen.lang.check.base import check_expr, condition
+from koordgen.lang.check.block import STATEMENTS, Out, learn
+from koordgen.lang.check.context import Context, Entry
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+from koordgen.lang.ir.types import BOOL, POISON, PerRobot
+from koordgen.lang.node import nodes
+from koordgen.lang.syntax import expr as ast
+from koordgen.lang.syntax import stmt as tree
+
+Invariants = tuple[stmt.LoopInvariant, ...]
+
+_HEAD = "write it as the first lines of the block of 'for' or 'while'"
+_LEAST = "it is evaluated behind the last turn, too, where there is no element: loop over range(len(...))"
+
+
+def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
+    """The invariants at the head of a loop's block, and the other statements. A line among them that could not be read
+    may have been one."""
+    head = (tree.Invariant, tree.BrokenStmt)
+    count = next((i for i, statement in enumerate(block) if not isinstance(statement, head)), len(block))
+    invariants = tuple([s for s in block[:count] if isinstance(s, tree.Invariant)])
+    return invariants, tuple([s for s in block[:count] if isinstance(s, tree.BrokenStmt)]) + block[count:]
+
+
+def check_invariants(
+    written: tuple[tree.Invariant, ...], c: Context, out: Out, hidden: tuple[str, ...] = (), own: tuple[str, ...] = ()
+) -> Invariants:
+    """The typed invariants of a loop; a `Let` for each `old(x)` goes to `out`, before the loop. `hidden` are the temps
+    of the loop that no invariant may read, `own` those that begin with the loop and have no old value."""
+    if not written:
+        return ()
+    poisoned, shared, path = c.poisoned, set(c.read_shared), c.path
+    around = c.entry
+    begun = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
+    c.entry = Entry(begun)
+    c.poisoned = True  # what has no value is reported by monitors: indices and divisors are not judged
+    found = [stmt.LoopInvariant(condition(node.condition, c, "a loop invariant"), node.span) for node in written]
+    lets = list(c.entry.values.values())
+    c.poisoned, c.path, c.entry = poisoned, path, around
+    if not c.transaction:
+        c.read_shared = shared  # what an invariant reads goes into no write
+    for let in lets:
+        learn(stmt.TempPlace(let.name), let.value, c)
+    out.extend(lets)
+    wrong = [node for invariant in found for node in _elements(invariant.formula, hidden)]
+    for node in wrong:
+        text = c.text(node.span)
+        c.error("K058", f"a loop invariant cannot read {text}, the loop's element", node.span, _LEAST)
+    return tuple([i for i in found if i.formula.type is BOOL and not any(_elements(i.formula, hidden))])
+
+
+def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead]:
+    for node in nodes(formula):
+        if isinstance(node, ir.TempRead) and node.name in hidden:
+            yield node
+
+
+def check_old(node: ast.Call, c: Context) -> ir.Expr:
+    """`old(x)` in a loop invariant: a read of the temp that has the value of `x` where the loop begins."""
+    if c.entry is None:
+        help = "outside of one, keep the value in a variable: int before = x"
+        return c.error("K058", "'old' has a meaning in loop invariants only", node.span, help)
+    if len(node.args) != 1 or isinstance(node.args[0], ast.Keyword):
+        return c.error("K014", f"old takes 1 argument, not {len(node.args)}", node.span, "old(variable)")
+    read = check_expr(node.args[0], c)
+    if read.type is POISON:
+        return c.poison(node.span)
+    text = c.text(read.span)
+    if isinstance(read, ir.TempRead) and read.name not in c.entry.begun:
+        help = "old takes a variable that is declared before the loop"
+        return c.error("K058", f"{text} has no value where the loop begins", node.span, help)
+    match read:
+        case ir.LocalRead(name) | ir.TempRead(name) | ir.SharedRead(name) | ir.SlotRead(name, ir.Pid()):
+            pass
+        case ir.PortRead(_, name):
+            pass
+        case _:
+            name = ""
+    if not name or isinstance(read.type, PerRobot):
+        help = "a part of it stands behind: old(xs)[i], old(p).x"
+        return c.error("K058", f"old takes a variable of this robot or a shared one, not {text}", node.span, help)
+    let = c.entry.values.get(read)
+    if let is None:
+        let = c.entry.values[read] = stmt.Let(c.mint(f"old_{name}"), read.type, read, node.span)
+    return ir.TempRead(let.name, read.type, node.span)
+
+
+def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
+    """Report the call of a port in a loop invariant."""
+    help = f"ask before the loop and keep the answer: ... = {name}(...)"
+    return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
+
+
+def _misplaced(node: tree.Invariant, c: Context, out: Out) -> None:
+    c.error("K058", "a loop invariant stands at the head of a loop's block only", node.span, _HEAD)
+
+
+STATEMENTS[tree.Invariant] = _misplaced

@@ -1,0 +1,82 @@
+"""Who owns a name: variables, params, modules, functions, records and extern types share one space."""
+
+from __future__ import annotations
+
+from koordgen.lang.check.context import PREDEFINED, Context, Entity
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.ir.builtins import FUNCTIONS
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax.types import BrokenType
+
+Owner = (
+    ast.Variable | ast.Param | ast.Using | ast.RecordDef | ast.ExternType | ast.Function | ast.ExternFunction
+    | ast.SpecFunction
+)  # fmt: skip
+
+
+def claim(program: ast.Program, c: Context) -> None:
+    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, or the
+    first is the language's own, nobody knows what the uses mean, and they are no more mistakes."""
+    kinds: dict[str, str] = {}  # of the variables
+    for section in program.sections:
+        match section:
+            case ast.Variables(kind, variables):
+                for variable in variables:
+                    if not isinstance(variable.type, BrokenType):  # its name is a guess
+                        _take(variable.name, variable, kind, kinds, c)
+            case ast.Using(name):
+                if not isinstance(c.owners.get(name), ast.Using):
+                    _take(name, section, "", kinds, c)
+            case ast.Event(name):
+                c.owners[f"event {name}"] = section  # it may share its name with a variable
+            case ast.Priority(events):
+                for event in events:
+                    c.owners[f"event {event.name}"] = event
+            case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
+                pass
+            case _:
+                _take(section.name, section, "", kinds, c)
+
+
+def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
+    if reserved(name):
+        c.error("K011", f"{name} is predefined", node.span, "choose another name")
+        c.entities[name] = None
+        return
+    first = c.owners.setdefault(name, node)
+    if first is node:
+        kinds[name] = kind
+        return
+    label = Label(first.span, "declared here first")  # type: ignore[attr-defined]
+    c.error("K011", f"{name} is declared twice", node.span, "choose another name", (label,))
+    alike = isinstance(first, ast.Variable) and isinstance(node, ast.Variable) and first.type == node.type
+    if not (alike and kinds[name] == kind):
+        c.entities[name] = None
+
+
+def reserved(name: str) -> bool:
+    """Whether no declaration may have a name. What a builtin function is called is free, as in Python: 2020 programs
+    have variables called `sum`; types and the values they make are not."""
+    return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
+
+
+def owns(name: str, node: Owner, c: Context) -> bool:
+    """Whether a declaration is the one that its name means."""
+    return c.owners.get(name) is node
+
+
+def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
+    """Make a declaration known, if its name is its own; None: of a wrong type."""
+    if c.owners.get(name) is node and c.entities.get(name, c) is not None:
+        c.entities[name] = entity
+
+
+def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
+    """Whether a name is new among its like, of which there is a space of their own."""
+    first = seen.setdefault(name, span)
+    if first is span:
+        return True
+    labels = (Label(first, "here first"),)
+    c.error("K011", f"there are two {what} called {name}", span, "choose another name", labels)
+    return False

@@ -1,0 +1,107 @@
+"""Properties: what initially holds, what is to hold always, what is known of spec functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from koordgen.lang.check.base import condition
+from koordgen.lang.check.context import Context, Temp
+from koordgen.lang.check.names import unique
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.types import GRID, POINT, Type, list_of
+from koordgen.lang.node import Node
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax import expr as tree
+
+_HANDED = (POINT, list_of(GRID))  # to a PathPlanner
+
+
+def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
+    """The properties in the order of their writing."""
+    found = []
+    seen: dict[str, Span] = {}
+    for node in sections:
+        if node.name:
+            unique(node.name, "properties", node.span, seen, c)
+        c.enter("property")
+        what = f"the {node.kind} {node.name}" if node.name else "what holds initially"
+        formula = condition(node.formula, c, what)
+        found.append(decl.Property(node.kind, node.name, formula, node.span))
+    return tuple(found)
+
+
+def goal(name: str, span: Span, c: Context) -> Temp | None:
+    """Of a name that nothing has, in an assumption that hands it to a callable port of its module: from then on it
+    stands for every value that can be handed over there."""
+    module = c.entities.get(c.module)
+    if not isinstance(module, decl.Module) or c.program is None:
+        return None
+    ports = {port.name for port in module.ports if port.direction == "callable"}
+    items = [item for s in c.program.sections if isinstance(s, ast.Using) and s.name == c.module for item in s.items]
+    at = span.line, span.column
+    assumed = [item for item in items if isinstance(item, ast.Assume)]
+    formulas = [item.formula for item in assumed if (item.span.line, item.span.column) < at]
+    place = next(_handed(formulas[-1], name, c.module, ports), None) if formulas else None
+    if place is None:
+        return None
+    temp = c.scopes[0][name] = Temp(c.mint(name), _HANDED[place], span)
+    return temp
+
+
+def any_value(name: str, span: Span, c: Context) -> Temp | None:
+    """Of a name that nothing has, in an axiom that hands it to a function of the program: from then on it stands for
+    every value that the function takes there."""
+    if c.program is None:
+        return None
+    at = span.line, span.column
+    sections = [s for s in c.program.sections if isinstance(s, ast.Property)]
+    before = [s for s in sections if (s.span.line, s.span.column) < at]
+    if not before or before[-1].kind != "axiom":
+        return None
+    type_ = next(_taken(before[-1].formula, name, c), None)
+    if type_ is None:
+        return None
+    temp = c.scopes[0][name] = Temp(c.mint(name), type_, span)
+    return temp
+
+
+def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
+    """The types of the parameters for which a name stands that no quantifier binds there."""
+    if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
+        node = node.domain
+    if isinstance(node, tree.Call) and isinstance(node.function, tree.Name):
+        entity = c.entities.get(node.function.name)
+        if isinstance(entity, (decl.Function, decl.ExternFunction, decl.SpecFunction)):
+            for arg, parameter in zip(node.args, entity.parameters, strict=False):
+                if isinstance(arg, tree.Name) and arg.name == name:
+                    yield parameter.type
+    for part in _parts(node):
+        yield from _taken(part, name, c)
+
+
+def _parts(node: object) -> tuple[object, ...]:
+    if isinstance(node, Node) and not isinstance(node, Span):
+        return tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    return node if isinstance(node, tuple) else ()
+
+
+def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
+    """As which arguments of the module's callable ports a name stands that no quantifier binds there."""
+    if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
+        node = node.domain
+    if isinstance(node, tree.Call):
+        match node.function:
+            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _of(module, node.function):
+                for place, arg in enumerate(node.args[: len(_HANDED)]):
+                    if isinstance(arg, tree.Name) and arg.name == name:
+                        yield place
+            case _:
+                pass
+    for part in _parts(node):
+        yield from _handed(part, name, module, ports)
+
+
+def _of(module: str, function: tree.Expr) -> bool:
+    """Whether a port is the module's: by its bare name, or behind the module's."""
+    return not isinstance(function, tree.Attribute) or function.value == tree.Name(module, function.span)

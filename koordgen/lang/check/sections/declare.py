@@ -1,0 +1,229 @@
+"""Records, params and variables: their types first, so that they may stand in any order, then their first values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from koordgen.lang.analyze.facts import Flow, term
+from koordgen.lang.analyze.walk import nodes
+from koordgen.lang.check.base import check_expr, default, fitting
+from koordgen.lang.check.context import Context
+from koordgen.lang.check.first import flaw_of
+from koordgen.lang.check.names import enter, owns, unique
+from koordgen.lang.check.types import bounded, dialect_element, excess, per_robot, resolve
+from koordgen.lang.diagnostics import Edit
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.types import INT, POISON, ExternType, RecordType, Type
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax import expr as tree
+from koordgen.lang.syntax import types as written
+
+Kind = Literal["allread", "allwrite", "local"]
+
+
+def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternType, ...]:
+    for node in sections:
+        if owns(node.name, node, c):
+            enter(node.name, node, decl.ExternType(node.name, node.span), c)
+            c.types[node.name] = ExternType(node.name) if c.entities[node.name] is not None else None
+    return tuple([decl.ExternType(node.name, node.span) for node in sections])
+
+
+Fields = list[tuple[ast.Variable, Type]]
+Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
+
+
+def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
+    """Makes the records' types known. The records, each behind those that its fields hold; those without a type are
+    wrong."""
+    from koordgen.lang.analyze.graph import ordered
+
+    for node in sections:
+        c.types[node.name] = None
+    owned = {node.name: node for node in sections if owns(node.name, node, c)}
+    order, cycles = ordered({name: _held(node) for name, node in owned.items()})
+    for cycle in cycles:
+        way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
+        help = "a record holds values, not references; an index into a list can stand for one"
+        c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
+    inside = {name for cycle in cycles for name in cycle}
+    room: dict[str, tuple[int, int]] = {}
+    records: Records = []
+    for node in [*(owned[name] for name in order), *(n for n in sections if not owns(n.name, n, c))]:
+        fields, type_ = _record_type(node, room, c)
+        type_ = None if node.name in inside else type_
+        records.append((node, fields, type_))
+        enter(node.name, node, decl.Record(type_, (), node.span) if type_ else None, c)
+        if owned.get(node.name) is node and c.entities[node.name] is not None:
+            c.types[node.name] = type_
+    return records
+
+
+_MOST_PARTS, _DEEPEST = 1000, 20  # of one record, those of the records in it included
+
+
+def _held(node: ast.RecordDef) -> list[str]:
+    return [part.name for field in node.fields for part in nodes(field.type) if isinstance(part, written.NamedType)]
+
+
+def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> tuple[Fields, RecordType | None]:
+    fields: Fields = []
+    seen: dict[str, Span] = {}
+    for field in node.fields:
+        if isinstance(field.type, written.BrokenType):
+            fields.append((field, POISON))  # its name is a guess
+            continue
+        type_ = bounded(resolve(field.type, c), field.capacities, False, c)
+        type_ = POISON if _sized(field, "in a record", c) else type_
+        if unique(field.name, f"fields of {node.name}", field.span, seen, c):
+            fields.append((field, type_))
+    inner = [room[name] for name in _held(node) if name in room]
+    parts, depth = len(fields) + sum(p for p, _ in inner), 1 + max((d for _, d in inner), default=0)
+    room[node.name] = parts, depth
+    if parts > _MOST_PARTS or depth > _DEEPEST:
+        much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
+        c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
+        return fields, None
+    if any(type_ is POISON for _, type_ in fields):
+        return fields, None
+    return fields, RecordType(node.name, tuple([(field.name, type_) for field, type_ in fields]))
+
+
+def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
+    """The records with their fields' first values, in the order given."""
+    records = []
+    for node, fields, type_ in found:
+        defaults = [_initial(field, field.initial, held, c, _NO_PARAM_IN_FIELD) for field, held in fields]
+        if type_ is not None:
+            records.append(decl.Record(type_, tuple(defaults), node.span))
+            enter(node.name, node, records[-1], c)
+    return tuple(records)
+
+
+_NO_PARAM_IN_FIELD = "a field's first value cannot depend on a param"
+_NO_PARAM_IN_PARAM = "a param's default cannot depend on another param"
+
+
+def param_types(sections: list[ast.Param], c: Context) -> None:
+    for node in sections:
+        type_ = bounded(resolve(node.type, c), node.capacities, True, c)
+        blank = c.poison(node.span)
+        enter(node.name, node, None if type_ is POISON else decl.Param(node.name, type_, blank, node.span), c)
+
+
+def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, ...]:
+    params = []
+    for node in sections:
+        entity = c.entities.get(node.name)
+        type_ = entity.type if isinstance(entity, decl.Param) and owns(node.name, node, c) else POISON
+        value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
+        param = decl.Param(node.name, type_, value, node.span)
+        params.append(param)
+        if type_ is POISON:
+            continue
+        enter(node.name, node, param, c)
+        known = term(value, Flow()) if value.type == INT else None
+        if known is not None and not known.terms:
+            c.defaults[f"param {node.name}"] = known.constant
+    return tuple(params)
+
+
+Typed = list[tuple[ast.Variable, Kind, Type]]
+
+
+def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
+    """Makes the variables known, still without their first values."""
+    typed: Typed = []
+    for section in sections:
+        kind = section.kind
+        for node in section.variables:
+            if isinstance(node.type, written.BrokenType):
+                continue  # its name is a guess
+            type_ = _variable_type(node, kind, c)
+            typed.append((node, kind, type_))
+            if type_ is POISON:
+                enter(node.name, node, None, c)
+            elif kind == "local":
+                enter(node.name, node, decl.Local(node.name, type_, c.poison(node.span), node.span), c)
+            else:
+                enter(node.name, node, decl.Shared(node.name, kind, type_, c.poison(node.span), node.span), c)
+    return typed
+
+
+def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
+    type_ = node.type
+    if kind != "allread":
+        if _sized(node, f"under '{kind}:'", c):
+            resolve(type_, c)
+            return POISON  # that an index may leave an empty list would be an echo
+    elif node.size is not None:
+        if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
+            _not_per_robot(node, node.size.span, c)
+    elif isinstance(type_, written.GenericType) and type_.name == "[]":
+        element = dialect_element(type_.args[0], c)
+        new = f"{element} {node.name}[N_SYS]"
+        place = Span(type_.span.line, type_.span.column, node.span.end_line, node.span.end_column)
+        if element is not POISON:
+            c.modern(c.text(place), new, place, (Edit(place, new),))
+        return bounded(element, node.capacities, False, c)
+    else:
+        _not_per_robot(node, node.span, c)
+    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
+
+
+def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
+    message = f"an allread variable has one value for each robot: {node.name}[N_SYS]"
+    c.error("K017", message, span, f"write {c.text(node.type.span)} {node.name}[N_SYS]")
+
+
+def _sized(node: ast.Variable, where: str, c: Context) -> bool:
+    """Whether a variable that has no size has one, which is reported."""
+    if node.size is not None and not isinstance(node.size, tree.Broken):
+        help = f"write List<{c.text(node.type.span)}> {node.name}"
+        c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
+    return node.size is not None
+
+
+def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+    shared: list[decl.Shared] = []
+    locals_: list[decl.Local] = []
+    for node, kind, type_ in typed:
+        initial = _initial(node, node.initial, type_, c)
+        if kind == "local":
+            locals_.append(decl.Local(node.name, type_, initial, node.span))
+        else:
+            shared.append(decl.Shared(node.name, kind, type_, initial, node.span))
+    return tuple(shared), tuple(locals_)
+
+
+def _initial(
+    node: ast.Variable | ast.Param, value: tree.Expr | None, type_: Type, c: Context, no_params: str = ""
+) -> expr.Expr:
+    """A first value: literals, builtins, and params unless a message says why not."""
+    if value is None:
+        return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
+    c.enter("constant")
+    before = len(c.found)
+    if no_params and not isinstance(value, tree.Literal):
+        for part in nodes(value):
+            if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
+                return c.error("K025", no_params, part.span)
+    initial = fitting(check_expr(value, c, type_), type_, node.name, c)
+    too_much = excess(initial, type_)
+    if too_much:
+        c.error("K053", f"the first value of {node.name} has {too_much}", value.span, "declare more room with 'max'")
+    if any(diagnostic.severity == "error" for diagnostic in c.found[before:]):
+        return initial
+    return _judged(node.name, initial, type_, c)
+
+
+def _judged(name: str, initial: expr.Expr, type_: Type, c: Context) -> expr.Expr:
+    """Return a first value, unless it has none, or none that robots may keep, which is reported."""
+    params = {name: entity.default for name, entity in c.entities.items() if isinstance(entity, decl.Param)}
+    wrong = flaw_of(initial, type_, params)
+    if wrong is None:
+        return initial
+    what = f"the first value of {name}" if wrong.span is None else c.text(wrong.span)
+    return c.error("K057", f"{what} {wrong.reason}", wrong.span or initial.span, wrong.help)

@@ -1,0 +1,187 @@
+"""Functions: signatures first, so that they may call one another in any order; then bodies and contracts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from koordgen.lang.analyze.graph import ordered
+from koordgen.lang.analyze.walk import nodes, statements
+from koordgen.lang.check.base import condition
+from koordgen.lang.check.context import Context, Temp
+from koordgen.lang.check.names import enter, owns, reserved, unique
+from koordgen.lang.check.statements.stmt import check_block
+from koordgen.lang.check.types import per_robot, resolve
+from koordgen.lang.diagnostics import Edit, Label
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.types import POISON, PerRobot, Type
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax import expr as tree
+from koordgen.lang.syntax.stmt import BrokenStmt
+
+Signature = tuple[tuple[decl.Parameter, ...], Type]
+
+
+def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
+    """A function's parameters and result (POISON also where it is not known yet); makes the function known."""
+    parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
+    result = POISON if node.result is None else resolve(node.result, c)
+    entity: decl.Function | decl.ExternFunction | decl.SpecFunction
+    match node:
+        case ast.Function():
+            entity = decl.Function(node.name, parameters, result, (), node.span)
+        case ast.ExternFunction():
+            entity = decl.ExternFunction(node.name, parameters, result, (), (), node.span)
+        case ast.SpecFunction():
+            entity = decl.SpecFunction(node.name, parameters, result, node.span)
+    known = node.result is None or result != POISON
+    enter(node.name, node, entity if known else None, c)
+    return parameters, result
+
+
+def _parameter_type(node: ast.Parameter, c: Context) -> Type:
+    type_ = resolve(node.type, c)
+    if node.size is None or type_ == POISON or isinstance(node.size, tree.Broken):
+        return type_
+    if not per_robot(node.size, c):
+        message = f"only N_SYS is a size: {node.name} has one value for each robot, or it is a list"
+        c.error("K017", message, node.size.span, f"write {type_} {node.name}[N_SYS], or List<{type_}> {node.name}")
+        return POISON
+    return PerRobot(type_)
+
+
+def specs(sections: Iterable[ast.SpecFunction], c: Context) -> tuple[decl.SpecFunction, ...]:
+    found = []
+    for node in sections:
+        parameters, result = signature(node, c)
+        seen: dict[str, Span] = {}
+        for parameter in node.parameters:
+            unique(parameter.name, f"parameters of {node.name}", parameter.span, seen, c)
+        found.append(decl.SpecFunction(node.name, parameters, result, node.span))
+    return tuple(found)
+
+
+Signed = list[tuple[ast.Function, Signature]]
+
+
+def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
+    """The functions, each behind those that it calls."""
+    signed = _inferable(signed, c)
+    checked = {}
+    for node, known in signed:
+        function = _body(node, known, c)
+        enter(node.name, node, function, c)
+        checked[node.name] = function
+    order, cycles = ordered({name: sorted(c.calls.get(name, ())) for name in checked})
+    for cycle in cycles:
+        if len(cycle) == 1:
+            message = f"the function {cycle[0]} calls itself"
+        else:
+            message = f"the function {cycle[0]} calls itself: {cycle[0]} calls {', which calls '.join(cycle[1:])}"
+            message += f", which calls {cycle[0]}"
+        c.error("K026", message, checked[cycle[0]].span, "a loop does it within bounds")
+    return tuple([checked[name] for name in order])
+
+
+def _inferable(signed: Signed, c: Context) -> Signed:
+    """With functions of the 2020 dialect, whose results nobody wrote, behind those that they call; they are checked in
+    this order, so that a result is known before it is used."""
+    if all(node.result is not None for node, _ in signed):
+        return signed
+    by_name = {node.name: (node, known) for node, known in signed if owns(node.name, node, c)}
+    calls = {name: _called(node) for name, (node, _) in by_name.items()}
+    return [by_name[name] for name in ordered(calls)[0]] + [s for s in signed if not owns(s[0].name, s[0], c)]
+
+
+def _called(node: ast.Function) -> list[str]:
+    calls = (part.function for part in nodes(node.block) if isinstance(part, tree.Call))
+    return [function.name for function in calls if isinstance(function, tree.Name)]
+
+
+def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
+    parameters, result = known
+    c.enter("function")
+    c.function = node.name
+    c.result = None if node.result is None else result
+    parameters = _temps(node.parameters, parameters, c)
+    block = check_block(node.block, c)
+    if c.path is not None and not any(isinstance(s, BrokenStmt) for s in statements(node.block)):
+        none = c.result is None
+        message = f"the function {node.name} {'has no' if none else 'can end without'} 'return'"
+        c.error("K029", message, node.span, "let every way through it end with 'return value'")
+    result = POISON if c.result is None else c.result
+    if node.def_span is not None:
+        _modernise(node, result, c)
+    return decl.Function(node.name, parameters, result, block, node.span)
+
+
+def _temps(
+    written: tuple[ast.Parameter, ...], parameters: tuple[decl.Parameter, ...], c: Context
+) -> tuple[decl.Parameter, ...]:
+    """Makes the parameters temps of the section; gives them by their unique names. They may have the names of variables
+    and modules, which functions cannot read anyway."""
+    scope = c.scopes[0]
+    kept = []
+    for node, (name, type_) in zip(written, ((p.name, p.type) for p in parameters), strict=True):
+        entity = c.entities.get(name)
+        first = scope.get(name) or (None if isinstance(entity, (decl.Local, decl.Shared, decl.Module)) else entity)
+        if reserved(name):
+            c.error("K011", f"{name} is predefined", node.span, "choose another name")
+            scope[name] = Temp(c.mint(name), type_, node.span)
+        elif first is not None:
+            label = Label(first.span, "declared here first")
+            c.error("K011", f"{name} is declared already", node.span, "choose another name", (label,))
+        else:
+            temp = scope[name] = Temp(c.mint(name), type_, node.span)
+            kept.append(decl.Parameter(temp.unique, type_))
+    return tuple(kept)
+
+
+def _modernise(node: ast.Function, result: Type, c: Context) -> None:
+    """`def fun f(pos a):` becomes `fun f(pos a) -> Point:`."""
+    start = node.def_span
+    assert start is not None
+    edits = [Edit(Span(start.line, start.column, node.span.line, node.span.column), "fun ")]
+    new = "fun"
+    if node.result is None and result != POISON:
+        new = f"fun ... -> {result}"
+        close = _closing_bracket(node, c)
+        edits.append(Edit(Span(close.line, close.column, close.line, close.column), f" -> {result}"))
+    c.modern("def fun", new, start, tuple(edits))
+
+
+def _closing_bracket(node: ast.Function, c: Context) -> Span:
+    """The place right behind the bracket that ends the parameters."""
+    last = node.parameters[-1].span if node.parameters else node.span
+    line, column = last.end_line, last.end_column
+    while True:
+        code = c.source.line(line).partition("#")[0]
+        found = code.find(")", column - 1)
+        if found >= 0:
+            return Span(line, found + 2, line, found + 2)
+        line, column = line + 1, 1
+
+
+def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.ExternFunction, ...]:
+    """The extern functions with their contracts, whose formulas may call functions: these are known by now."""
+    return tuple([_extern(node, c) for node in sections])
+
+
+def _extern(node: ast.ExternFunction, c: Context) -> decl.ExternFunction:
+    c.enter("contract")
+    entity = c.entities.get(node.name)
+    if not isinstance(entity, decl.ExternFunction) or not owns(node.name, node, c):
+        return decl.ExternFunction(node.name, (), POISON, (), (), node.span)
+    parameters = _temps(node.parameters, entity.parameters, c)
+    requires = _formulas(node, "requires", c)
+    for parameter in node.parameters:
+        if parameter.name == "result" and node.contracts:
+            message = "result is what the function yields, in its contract"
+            c.error("K011", message, parameter.span, "choose another name")
+    c.scopes.append({"result": Temp(c.mint("result"), entity.result, node.span)})
+    ensures = _formulas(node, "ensures", c)
+    return decl.ExternFunction(node.name, parameters, entity.result, requires, ensures, node.span)
+
+
+def _formulas(node: ast.ExternFunction, kind: str, c: Context) -> tuple[expr.Expr, ...]:
+    return tuple([condition(part.formula, c, f"'{kind}'") for part in node.contracts if part.kind == kind])

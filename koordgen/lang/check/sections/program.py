@@ -1,0 +1,106 @@
+"""A whole program: names, then types and signatures, then first values and bodies, so that sections may stand in any
+order; init and the events in the order of their writing."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from koordgen.lang.check.context import Context
+from koordgen.lang.check.names import claim
+from koordgen.lang.check.sections.declare import (
+    extern_types,
+    param_defaults,
+    param_types,
+    record_defaults,
+    record_types,
+    variable_initials,
+    variable_types,
+)
+from koordgen.lang.check.sections.events import events, in_text_order, lone_priorities
+from koordgen.lang.check.sections.modules import assumptions, modules
+from koordgen.lang.check.statements.stmt import check_block
+from koordgen.lang.diagnostics import Diagnostic, in_order
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.stmt import Block
+from koordgen.lang.ir.types import BOOL
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax import decl as ast
+
+
+def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
+    """The typed program, or None where there are errors; and all that was found, in the order of the text."""
+    c = Context(source, program)
+    checked = _program(program, c)
+    found = in_order(c.found)
+    return (None if any(d.severity == "error" for d in found) else checked), found
+
+
+def _program(program: ast.Program, c: Context) -> decl.Program:
+    sections: dict[type, list[Any]] = {}
+    for section in program.sections:
+        sections.setdefault(type(section), []).append(section)
+
+    def of(kind: type) -> list[Any]:
+        return sections.get(kind, [])
+
+    claim(program, c)
+    opaque = extern_types(of(ast.ExternType), c)
+    fields = record_types(of(ast.RecordDef), c)
+    param_types(of(ast.Param), c)
+    typed = variable_types(of(ast.Variables), c)
+    ports = modules(of(ast.Using), c)
+    functions: tuple[decl.Function, ...] = ()
+    externs: tuple[decl.ExternFunction, ...] = ()
+    specs: tuple[decl.SpecFunction, ...] = ()
+    written = of(ast.Function), of(ast.ExternFunction), of(ast.SpecFunction)
+    if any(written):
+        from koordgen.lang.check.sections import function
+
+        specs = function.specs(written[2], c)
+        for node in written[1]:
+            function.signature(node, c)
+        signed = [(node, function.signature(node, c)) for node in written[0]]
+    records = record_defaults(fields, c)
+    params = param_defaults(of(ast.Param), c)
+    shared, locals_ = variable_initials(typed, c)
+    if any(written):
+        functions = function.bodies(signed, c)
+        externs = function.externs(written[1], c)
+    init = _init(of(ast.Init), c)
+    if not sections.keys() & {ast.Event, ast.Priority, ast.BrokenSection}:
+        c.error("K019", "the program has no event", Span(1, 1, 1, 1), "write 'Name:' with 'pre:' and 'eff:' under it")
+    lone_priorities(of(ast.Priority), c)
+    acting, locks = _events(in_text_order(program.sections), shared, c)
+    if any(variable.type is BOOL for variable in locals_):
+        from koordgen.lang.check.sections.waiting import judge_waiting
+
+        judge_waiting(locals_, init, acting, c)
+    properties: tuple[decl.Property, ...] = ()
+    if ast.Property in sections:
+        from koordgen.lang.check.property import properties as check_properties
+
+        properties = check_properties(of(ast.Property), c)
+    assuming = assumptions(of(ast.Using), ports, c)
+    path = os.path.basename(c.source.path)
+    return decl.Program(
+        os.path.splitext(path)[0], path, records, opaque, functions, externs, specs, params, assuming, shared, locals_,
+        locks, init, acting, properties,
+    )  # fmt: skip
+
+
+def _init(sections: list[ast.Init], c: Context) -> Block:
+    """Several are one, in the order of their writing."""
+    c.enter("init")
+    return tuple([statement for section in sections for statement in check_block(section.block, c)])
+
+
+def _events(
+    written: list[tuple[ast.Event, int | None]], shared: tuple[decl.Shared, ...], c: Context
+) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
+    found = events(written, c)
+    if all(atomic is None for _, atomic in found):
+        return tuple([event for event, _ in found]), ()
+    from koordgen.lang.check.locks import locked
+
+    return locked(found, shared, c)

@@ -1,0 +1,229 @@
+"""What assignments and updating methods write: a variable as a whole, or a part of its value, which is written by
+writing the whole with that part replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from koordgen.lang.check import bounds
+from koordgen.lang.check.base import a, check_expr, fitting, has_call
+from koordgen.lang.check.block import learn
+from koordgen.lang.check.context import PREDEFINED, Context
+from koordgen.lang.check.expressions.collection import element
+from koordgen.lang.check.expressions.name import (
+    FOREIGN,
+    declared_port,
+    ended,
+    field_of,
+    module_named,
+    no_field,
+    refused,
+)
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+from koordgen.lang.ir.decl import (
+    ExternFunction,
+    ExternType,
+    Function,
+    Local,
+    Module,
+    Param,
+    Record,
+    Shared,
+    SpecFunction,
+)
+from koordgen.lang.ir.types import INT, POINT, POISON, MapOf, RecordType, Sequence, TupleOf
+from koordgen.lang.node import Node
+from koordgen.lang.syntax import expr as ast
+
+
+class Target(Node):
+    """`place` is written with `put(new)`, where `new` is the new value of what `read` reads: the whole, or a part."""
+
+    place: stmt.Place
+    read: ir.Expr
+    put: Callable[[ir.Expr], ir.Expr]
+    whole: bool
+
+
+def check_target(node: ast.Expr, c: Context) -> Target | None:
+    """What an assignment writes; None after reporting that it cannot."""
+    match node:
+        case ast.Name():
+            return _named(node, c)
+        case ast.Index(value, _):
+            if isinstance(value, ast.Name) and c.temp(value.name) is None:
+                entity = c.entities.get(value.name)
+                if isinstance(entity, Shared) and entity.kind == "allread":
+                    return _slot(node, entity, c)
+            outer = check_target(value, c)
+            return None if outer is None else _element(outer, node, c)
+        case ast.Attribute(value, _):
+            module = module_named(value, c)
+            if module is not None:
+                return _port(module, node, c)
+            if isinstance(value, (ast.Call, ast.Slice)):
+                _no_target(node, c)
+                return None
+            outer = check_target(value, c)
+            return None if outer is None else _field(outer, node, c)
+        case _:
+            _no_target(node, c)
+            return None
+
+
+def _no_target(node: ast.Expr, c: Context) -> None:
+    if check_expr(node, c).type is not POISON:
+        help = "a loop assigns its elements one by one" if isinstance(node, ast.Slice) else ""
+        if isinstance(node, ast.Tuple):
+            help = "assign each variable on a line of its own"
+        c.error("K022", f"{c.text(node.span)} cannot be assigned", node.span, help)
+
+
+def _same(value: ir.Expr) -> ir.Expr:
+    return value
+
+
+def _named(node: ast.Name, c: Context) -> Target | None:
+    name, span = node.name, node.span
+    temp = c.temp(name)
+    if temp is not None:
+        return Target(stmt.TempPlace(temp.unique), ir.TempRead(temp.unique, temp.type, span), _same, True)
+    if name not in c.entities:
+        _unknown(node, c)
+        return None
+    c.mention(name)
+    match c.entities[name]:
+        case None:
+            pass
+        case Local(type=type_):
+            if refused("the variable ", name, span, c) is None:
+                return Target(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
+        case Shared(kind="allwrite", type=type_):
+            if refused("the variable ", name, span, c) is None:
+                return Target(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
+        case Shared():
+            c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
+        case Param():
+            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare it under 'local:'")
+        case Module():
+            c.error("K022", f"{name} is a module and cannot be assigned", span)
+        case Function() | ExternFunction() | SpecFunction():
+            c.error("K022", f"{name} is a function and cannot be assigned", span)
+        case Record() | ExternType():
+            c.error("K022", f"{name} is a type and cannot be assigned", span)
+    return None
+
+
+def _unknown(node: ast.Name, c: Context) -> None:
+    name, span = node.name, node.span
+    if name in PREDEFINED:
+        c.error("K022", f"{name} is predefined and cannot be assigned", span)
+    elif name not in c.broken and name not in c.owners:
+        c.owners[name] = node  # it was to declare the name: what follows is no new mistake
+        if not ended(name, span, c):
+            help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
+            c.error("K010", f"{name} is not defined", span, help or declaration(name))
+
+
+def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
+    """The help for what was not declared."""
+    return f"declare it: '{type_} {name} = {value}'"
+
+
+def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
+    index = fitting(check_expr(node.index, c), INT, "an index", c)
+    if index.type is POISON or entity.type is POISON:
+        return None
+    name = entity.name
+    if refused("the variable ", name, node.value.span, c) is not None:
+        return None
+    if not bounds.is_own(index, c):
+        message = f"{c.text(node.span)} may be another robot's slot; a robot writes {name}[pid] only"
+        c.error("K021", message, node.span, f"write {name}[pid] = ...")
+        return None
+    read = ir.SlotRead(name, ir.Pid(INT, index.span), True, entity.type, node.span)
+    return Target(stmt.OwnSlot(name), read, _same, True)
+
+
+def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
+    port = declared_port(module, node, c)
+    name = f"{module.name}.{node.name}"
+    if port is None or refused("the port ", name, node.span, c) is not None:
+        return None
+    if port.direction == "actuator":
+        read = ir.PortRead(module.name, port.name, False, port.type, node.span)
+        return Target(stmt.PortPlace(module.name, port.name), read, _same, True)
+    if port.direction == "sensor":
+        label = Label(port.span, "declared as a sensor")
+        c.error("K020", f"{name} is a sensor and cannot be assigned", node.span, labels=(label,))
+    elif port.direction == "stream":
+        c.error("K056", f"{name} is a stream and cannot be assigned", node.span, f"write {name} << ...")
+    else:
+        c.error("K022", f"{name} is called and cannot be assigned", node.span)
+    return None
+
+
+def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
+    """`outer[index]`: of a List, a Map, a tuple."""
+    read, type_ = outer.read, outer.read.type
+    if type_ is POISON:
+        return None
+    if isinstance(type_, TupleOf):
+        item = element(read, c.poison(node.index.span), node, c)
+        if not isinstance(item, ir.Item):
+            return None
+        return _part(outer, item, lambda new: ir.With(read, str(item.index), new, type_, node.span))
+    index = check_expr(node.index, c)
+    if index.type is POISON:
+        return None
+    if isinstance(type_, MapOf):
+        key = hoisted(fitting(index, type_.key, "the key", c), c)
+        if key.type is POISON:
+            return None
+        at = ir.Builtin("map_at", (read, key), type_.value, node.span)
+        return _part(outer, at, lambda new: ir.Builtin("map_with", (read, key, new), type_, node.span))
+    if isinstance(type_, Sequence) and type_.name == "List":
+        found = element(read, hoisted(index, c), node, c)
+        if not isinstance(found, ir.At):
+            return None
+        return _part(outer, found, lambda new: ir.Builtin("updated", (read, found.index, new), type_, node.span))
+    path, c.path = c.path, None  # that the index may be wrong as well helps nobody
+    part = element(read, index, node, c)
+    c.path = path
+    if part.type is not POISON:
+        message = f"{c.text(node.span)} is a part of {a(type_)} and cannot be assigned"
+        c.error("K022", message, node.span, "assign it as a whole")
+    return None
+
+
+def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
+    """`outer.name`: of a record."""
+    read, type_ = outer.read, outer.read.type
+    if type_ is POISON:
+        return None
+    field = field_of(type_, node.name)
+    if field is None:
+        no_field(read, node, c)
+        return None
+    if not isinstance(type_, RecordType):
+        help = "assign a whole Point: p = Point(x, y, z)" if type_ is POINT else f"assign a whole {type_}"
+        c.error("K022", f"{c.text(node.span)} is a part of a value and cannot be assigned", node.span, help)
+        return None
+    part = ir.Field(read, node.name, field, node.span)
+    return _part(outer, part, lambda new: ir.With(read, node.name, new, type_, node.span))
+
+
+def _part(outer: Target, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> Target:
+    return Target(outer.place, read, lambda new: outer.put(put(new)), False)
+
+
+def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
+    """An index that is read twice: what is called in it is called once, before the statement."""
+    if not has_call(index):
+        return index
+    name = c.mint("index")
+    c.hoisted.append(stmt.Let(name, index.type, index, index.span))
+    learn(stmt.TempPlace(name), index, c)
+    return ir.TempRead(name, index.type, index.span)

@@ -1,0 +1,238 @@
+"""Types as they are written -> types of the IR, and how much a variable of one may hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import assert_never
+
+from koordgen.lang.check.base import a
+from koordgen.lang.check.context import Context
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import (
+    GENERIC,
+    LOCAL_BYTES,
+    LOCAL_CELLS,
+    LOCAL_ELEMENTS,
+    LOCAL_RAYS,
+    NAMED,
+    PLANNER,
+    POISON,
+    SHARED_ELEMENTS,
+    STREAM,
+    MapOf,
+    RecordType,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+    is_key,
+)
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import expr as ast
+from koordgen.lang.syntax import types as tree
+
+_DIALECT = {"pos": "Point", "boolean": "bool"}
+_MEANT = {
+    "str": "string", "String": "string", "text": "string", "double": "float", "real": "float", "number": "float",
+    "integer": "int", "point": "Point", "Position": "Point", "position": "Point", "Vector": "Point", "array": "List",
+    "list": "List", "dict": "Map", "tuple": "(A, B)", "Tuple": "(A, B)",
+}  # fmt: skip
+_LOCAL = {"string": LOCAL_BYTES, "GridMap": LOCAL_CELLS, "Scan": LOCAL_RAYS}
+_DEEPEST = 20  # of types within types
+
+
+def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
+    """The type that is meant; POISON where it is none, which has been reported then. Its capacities are those of shared
+    variables. Only a port may be a PathPlanner or a stream."""
+    if isinstance(node, tree.NamedType):
+        return _named(node.name, node.span, c, port)
+    return _composed(node, c, 0)
+
+
+def _resolve(node: tree.TypeExpr, c: Context, depth: int) -> Type:
+    if isinstance(node, tree.NamedType):
+        return _named(node.name, node.span, c, False)
+    return _composed(node, c, depth + 1)
+
+
+def _named(name: str, span: Span, c: Context, port: bool) -> Type:
+    known = NAMED.get(name)
+    if known is not None:
+        if (known is PLANNER or known is STREAM) and not port:
+            c.error("K017", f"a {name} is a port, not a value", span, "it stands under 'using'")
+            return POISON
+        return known
+    if name in c.types:
+        return c.types[name] or POISON
+    if name in _DIALECT:
+        c.modern(name, _DIALECT[name], span)
+        return NAMED[_DIALECT[name]]
+    if name in c.broken:
+        return POISON
+    if name in ("Rect", "Ball"):
+        c.error("K017", f"a {name} is a region, not a value", span, "it stands on the right of 'in'")
+    elif name in GENERIC:
+        c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_holes(name)}>")
+    else:
+        help = c.nearest(name, [*NAMED, *GENERIC, *c.types], _MEANT)
+        define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
+        c.error("K016", f"{name} is not a type", span, help or define)
+    return POISON
+
+
+def _holes(name: str) -> str:
+    return "int, Point" if name == "Map" else "int" if name == "Set" else "Point"
+
+
+def _composed(node: tree.GenericType | tree.TupleType | tree.BrokenType, c: Context, depth: int) -> Type:
+    if depth > _DEEPEST:
+        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "give parts of it as records")
+        return POISON
+    match node:
+        case tree.BrokenType():
+            return POISON
+        case tree.TupleType(items):
+            parts = tuple([_resolve(item, c, depth) for item in items])
+            return POISON if POISON in parts else TupleOf(parts)
+        case tree.GenericType("[]", (element,)):
+            return _dialect_list(node, element, c, depth)
+        case tree.GenericType(name, args):
+            return _generic(name, args, node.span, c, depth)
+        case _:
+            assert_never(node)
+
+
+def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context, depth: int) -> Type:
+    parts = [_resolve(arg, c, depth) for arg in args]
+    wanted = GENERIC[name]
+    if len(parts) != wanted and (name != "List" or not parts):
+        plural = "" if wanted == 1 else "s"
+        c.error("K014", f"{name} takes {wanted} type{plural}, not {len(parts)}", span, f"write {name}<{_holes(name)}>")
+        return POISON
+    if POISON in parts:
+        return POISON
+    if name in ("Set", "Map") and not is_key(parts[0]):
+        what = "an element of a Set" if name == "Set" else "the key of a Map"
+        help = "an int, a bool, a string, or a tuple of these"
+        c.error("K052", f"{parts[0]} cannot be {what}", args[0].span, help)
+        return POISON
+    if name == "Map":
+        return MapOf(parts[0], parts[1], SHARED_ELEMENTS)
+    return Sequence(name, parts[0] if len(parts) == 1 else TupleOf(tuple(parts)), SHARED_ELEMENTS)
+
+
+def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, depth: int) -> Type:
+    """`T[]`: one note for all brackets and old words of it."""
+    type_ = dialect_element(element, c, depth)
+    if type_ == POISON:
+        return POISON
+    type_ = Sequence("List", type_, SHARED_ELEMENTS)
+    c.modern(c.text(node.span), str(type_), node.span)
+    return type_
+
+
+def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
+    """The T of a `T[]`, without notes: they are part of the whole's."""
+    before = len(c.found)
+    type_ = _resolve(element, c, depth)
+    c.found[before:] = [d for d in c.found[before:] if d.code != "K050"]
+    return type_
+
+
+def per_robot(size: ast.Expr, c: Context) -> bool:
+    """Whether the size of an array is N_SYS, also as the 2020 dialect calls it, which is noted."""
+    name = size.name if isinstance(size, ast.Name) else ""
+    if name in ("numAgents", "numBots"):
+        c.modern(name, "N_SYS", size.span)
+    return name in ("N_SYS", "numAgents", "numBots")
+
+
+def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
+    """The type with the capacities that are declared for it, in pre-order; or else with those of local variables, or of
+    shared ones. Fields of records have their own."""
+    if not capacities:
+        return _sized(type_, None) if local else type_
+    wanted = _bearing(type_)
+    if type_ != POISON and len(capacities) != wanted:
+        span = capacities[min(wanted, len(capacities) - 1)].span
+        if not wanted:
+            c.error("K053", f"{a(type_)} always takes the same room: 'max' has no place here", span)
+        else:
+            many = "one capacity" if wanted == 1 else f"{wanted} capacities, outermost first"
+            c.error("K053", f"{type_} takes {many}, not {len(capacities)}", span)
+        return type_
+    given = [_capacity(node, c) for node in capacities]
+    if type_ == POISON or None in given:
+        return type_
+    return _sized(type_, iter([g for g in given if g is not None]))
+
+
+def _capacity(node: ast.Expr, c: Context) -> int | None:
+    match node:
+        case ast.Literal(int(value)) if value > 0 and not isinstance(value, bool):
+            return value
+        case ast.Broken():
+            return None
+        case _:
+            c.error("K053", f"{c.text(node.span)} is no capacity", node.span, "write a number, 1 at least")
+            return None
+
+
+def _bearing(type_: Type) -> int:
+    """How many capacities a type takes."""
+    match type_:
+        case Sized():
+            return 1
+        case Sequence(_, element):
+            return 1 + _bearing(element)
+        case MapOf(key, value):
+            return 1 + _bearing(key) + _bearing(value)
+        case TupleOf(items):
+            return sum(map(_bearing, items))
+        case _:
+            return 0
+
+
+def _sized(type_: Type, given: Iterator[int] | None) -> Type:
+    """The type with the next of the given capacities, or with those of local variables."""
+    match type_:
+        case Sized(name):
+            return Sized(name, _LOCAL[name] if given is None else next(given))
+        case Sequence(name, element):
+            most = LOCAL_ELEMENTS if given is None else next(given)
+            return Sequence(name, _sized(element, given), most)
+        case MapOf(key, value):
+            most = LOCAL_ELEMENTS if given is None else next(given)
+            return MapOf(_sized(key, given), _sized(value, given), most)
+        case TupleOf(items):
+            return TupleOf(tuple([_sized(item, given) for item in items]))
+        case _:
+            return type_
+
+
+def excess(value: ir.Expr, type_: Type) -> str:
+    """What of a constant does not fit in its variable, in words; empty when all fits, as far as one sees."""
+    match value, type_:
+        case ir.Const(str(text)), Sized(_, capacity) if len(text.encode()) > capacity:
+            return f"{len(text.encode())} bytes, and at most {capacity} fit"
+        case ir.Make(items), Sequence(_, _, capacity) | MapOf(_, _, capacity) if len(items) > capacity:
+            return f"{len(items)} elements, and at most {capacity} fit"
+        case ir.Make(items), _:
+            pairs = zip(items, _parts(type_, len(items)), strict=False)
+            return next((found for item, part in pairs if (found := excess(item, part))), "")
+        case _:
+            return ""
+
+
+def _parts(type_: Type, count: int) -> tuple[Type, ...]:
+    match type_:
+        case Sequence(_, element):
+            return (element,) * count
+        case MapOf(key, value):
+            return (TupleOf((key, value)),) * count
+        case TupleOf(items):
+            return items
+        case RecordType(_, fields):
+            return tuple([field for _, field in fields])
+        case _:
+            return ()

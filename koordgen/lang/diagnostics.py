@@ -1,0 +1,187 @@
+"""What the compiler tells its user: diagnostics as data, their catalogue, their rendering for people and as JSON.
+
+Only the command line prints. A mistake of the user is a Diagnostic; a mistake of the compiler is an InternalError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from koordgen.lang.node import Node
+from koordgen.lang.source import Source, Span
+
+Severity = Literal["error", "warning", "note"]
+
+# code -> title, the only place of titles. K: the program. F: files, the fleet file above all. B: building for a target.
+# A code's meaning never changes; a code that is given up is never used again.
+CATALOGUE: dict[str, str] = {
+    "K001": "something else is expected here",
+    "K002": "unexpected character",
+    "K004": "tab in indentation",
+    "K005": "indentation matches no enclosing block",
+    "K006": "unpaired bracket",
+    "K007": "nested too deeply",
+    "K008": "unexpected or missing indentation",
+    "K009": "number too large",
+    "K010": "undefined name",
+    "K011": "name declared twice",
+    "K012": "types do not agree",
+    "K013": "a condition must be a bool",
+    "K014": "wrong number of arguments",
+    "K015": "no such field",
+    "K016": "unknown type",
+    "K017": "a name is used as what it is not",
+    "K018": "port not declared",
+    "K019": "an event or a program lacks a part",
+    "K020": "write to a sensor",
+    "K021": "write to another robot's slot",
+    "K022": "cannot be assigned",
+    "K023": "read of shared state in init",
+    "K024": "statement without effect",
+    "K025": "initial value is not constant",
+    "K026": "a function calls itself",
+    "K027": "a statement or an effect has no place here",
+    "K028": "'break', 'continue' or 'return' has nothing to leave",
+    "K029": "a function can end without a result",
+    "K030": "index names no robot",
+    "K031": "index may name no robot",
+    "K032": "division by zero",
+    "K033": "divisor may be zero",
+    "K034": "index may leave its range",
+    "K035": "loop without a visible bound",
+    "K036": "index counts from the end",
+    "K040": "update may be lost",
+    "K041": "event can never run",
+    "K042": "event is hidden by an earlier one",
+    "K043": "statement can never run",
+    "K044": "plain write to a variable of atomic events",
+    "K045": "'atomic' has no place here",
+    "K046": "priority over nothing",
+    "K050": "a spelling of the 2020 dialect",
+    "K051": "the type of an empty value is unknown",
+    "K052": "wrong type of a key",
+    "K053": "wrong capacity",
+    "K054": "a name or a mark has no place in a property",
+    "K055": "a type contains itself",
+    "K056": "wrong use of a stream",
+    "K057": "a value known in advance does not exist, or cannot be kept",
+    "K058": "a loop invariant or 'old' has no place here",
+    "F001": "not YAML",
+    "F002": "unknown key",
+    "F003": "missing key",
+    "F004": "wrong type of value",
+    "F005": "value out of range, or of another form",
+    "F006": "given twice: a key, a robot's name, an address",
+    "F007": "unknown target",
+    "F100": "a file cannot be read",
+    "F101": "a file is not UTF-8",
+    "B001": "the target offers no such module",
+    "B002": "the target offers no such port",
+    "B003": "the target's port has another type",
+    "B004": "what robots share is more than can be sent",
+    "B005": "a driver cannot serve the module",
+    "B006": "the Python beside the program lacks something",
+    "B007": "calls of ports may take too long for a round",
+    "B008": "a round's writes of all robots are more than the link carries",
+    "B009": "an event's writes may need several datagrams",
+}
+
+
+class InternalError(Exception):
+    """The compiler is wrong, whatever the user wrote."""
+
+
+class Label(Node):
+    """A second place that belongs to a diagnostic, and what is to be said of it."""
+
+    span: Span
+    text: str
+
+
+class Edit(Node):
+    """What stands at `span` is to be replaced by `text`; an empty span is a place to insert at."""
+
+    span: Span
+    text: str
+
+
+class Diagnostic(Node):
+    """One finding. `message` stands alone, without the source line beside it; `help` says what to write instead.
+    All `edits` together repair or modernise; they do not overlap."""
+
+    code: str
+    severity: Severity
+    message: str
+    span: Span
+    labels: tuple[Label, ...] = ()
+    help: str = ""
+    edits: tuple[Edit, ...] = ()
+
+
+def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """In the order of the text, each once (places take no part in the equality of nodes)."""
+    once = {(d.span.line, d.span.column, d.code, d.message): d for d in found}
+    return [once[key] for key in sorted(once)]
+
+
+def together(unread: Iterable[Diagnostic], found: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """What the parser and the checker say of one text, in its order. In a line that could not be read all else is an
+    echo: it is left out."""
+    unread = list(unread)
+    lines = {d.span.line for d in unread}
+    return in_order([*unread, *(d for d in found if d.span.line not in lines)])
+
+
+def render(diagnostic: Diagnostic, source: Source) -> str:
+    """The headline, the source line with carets, labels, and help: several lines without an end of line."""
+    d = diagnostic
+    lines = [f"{source.path}:{d.span.line}:{d.span.column}: {d.severity}[{d.code}]: {d.message}"]
+    width = len(str(max([d.span.line, *(label.span.line for label in d.labels)])))
+    lines += _excerpt(d.span, "^", "", source, width)
+    for label in d.labels:
+        lines += _excerpt(label.span, "-", label.text, source, width)
+    if d.help:
+        lines += [f"{' ' * width} = help: {d.help}"]
+    return "\n".join(lines)
+
+
+def _excerpt(span: Span, mark: str, text: str, source: Source, width: int) -> list[str]:
+    line = source.line(span.line)
+    shown = "".join(c if c.isprintable() else " " if c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in line)
+    if not shown.strip():
+        return []
+    end = span.end_column if span.end_line == span.line else len(shown) + 1
+    marks = " " * (span.column - 1) + mark * max(1, min(end, len(shown) + 1) - span.column)
+    if len(shown) > 160:  # what a person can take in; the columns say the rest
+        cut = max(0, span.column - 60)
+        shown, marks = shown[cut : cut + 160], marks[cut : cut + 160]
+    return [f"{span.line:>{width}} | {shown}", f"{' ' * width} | {marks} {text}".rstrip()]
+
+
+def to_json(found: Iterable[tuple[Source, Diagnostic]]) -> str:
+    """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`; one that can be
+    repaired has `edits` as well: `[{line, column, end_line, end_column, text}]`."""
+    import json
+
+    return json.dumps({"diagnostics": [as_data(source, d) for source, d in found]}, indent=2)
+
+
+def as_data(source: Source, diagnostic: Diagnostic) -> dict[str, object]:
+    """One diagnostic as JSON has it."""
+    d = diagnostic
+    data: dict[str, object] = {
+        "code": d.code,
+        "severity": d.severity,
+        "message": d.message,
+        "file": source.path,
+        **_place(d.span),
+        "help": d.help,
+    }
+    if d.edits:
+        data["edits"] = [{**_place(edit.span), "text": edit.text} for edit in d.edits]
+    return data
+
+
+def _place(span: Span) -> dict[str, int]:
+    return {"line": span.line, "column": span.column, "end_line": span.end_line, "end_column": span.end_column}

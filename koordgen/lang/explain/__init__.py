@@ -1,0 +1,84 @@
+"""Explanations: each diagnostic code at length, with tested examples.
+
+Owns: the pages beside this file, one for each letter of codes, and `topics.md`.
+Offers: `explanation`, `topic`, `show`.
+Must not import: syntax, or any room above it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from koordgen.lang.diagnostics import CATALOGUE, InternalError
+from koordgen.lang.node import Node
+
+_FENCE = "```"
+
+
+class Explanation(Node):
+    """The text of one code. `markdown` is its section without the heading; `wrong` and `right` are its examples,
+    `wrong_note` and `right_note` the lines that lead to them."""
+
+    code: str
+    title: str
+    markdown: str
+    wrong_note: str
+    wrong: str
+    right_note: str
+    right: str
+
+
+def explanation(code: str) -> Explanation:
+    """The text of a code of the catalogue. Raises KeyError for any other."""
+    title = CATALOGUE[code]
+    section = _sections(code[0]).get(code, "")
+    parts = section.split(f"\n{_FENCE}")
+    if len(parts) != 5:
+        raise InternalError(f"the explanation of {code} is not of the form it must have")
+    before, wrong, between, right, _ = parts
+    return Explanation(code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right))
+
+
+def show(found: Explanation) -> str:
+    """For a terminal: the title, and the section with its listings indented instead of fenced."""
+    return f"{found.code}: {found.title}\n\n{_plain(found.markdown)}"
+
+
+def topic(word: str) -> str:
+    """Return the text of a verdict, of `skip`, or of the name of one reason to skip, for a terminal; else ''."""
+    for heading, body in topics().items():
+        if word.casefold() == heading.casefold() or f"\n- `{word.casefold()}`:" in body:
+            return f"{heading}\n\n{_plain(body)}"
+    return ""
+
+
+def topics() -> dict[str, str]:
+    """Return the sections of topics.md by their headings."""
+    return _sections("topics")
+
+
+def _plain(markdown: str) -> str:
+    lines: list[str] = []
+    inside = False
+    for line in markdown.split("\n"):
+        if line.startswith(_FENCE):
+            inside = not inside
+            lines.append("")
+        elif inside:
+            lines.append(f"    {line}".rstrip(" "))
+        elif line or (lines and lines[-1]):
+            lines.append(line)
+    return "\n".join(lines).rstrip("\n")
+
+
+def _listing(part: str) -> str:
+    """What follows the opening fence's language."""
+    return part.partition("\n")[2] + "\n"
+
+
+@cache
+def _sections(name: str) -> dict[str, str]:
+    text = Path(__file__).with_name(f"{name}.md").read_text(encoding="utf-8")
+    sections = (section.partition("\n") for section in text.split("\n## ")[1:])
+    return {code: body.strip("\n") for code, _, body in sections}

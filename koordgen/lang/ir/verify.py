@@ -1,0 +1,302 @@
+"""Holds a program to the IR's invariants after every pass: a breach is a mistake of the compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import assert_never
+
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.types import (
+    BALL,
+    BOOL,
+    PLANNER,
+    POISON,
+    RECT,
+    STREAM,
+    STRING,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Scalar,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+    is_key,
+)
+from koordgen.lang.ir.verify_expr import Expressions
+from koordgen.lang.ir.verify_type import must, must_not
+from koordgen.lang.source import Span
+
+
+def verify(program: decl.Program) -> None:
+    """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope, an operator is none of
+    the IR's, something stands where it has no place, a transaction's variables are not those of its lock, or the events
+    of a `priority:` block do not stand together."""
+    walk = _Walk(program)
+    walk.declarations()
+    walk.functions()
+    walk.enter("init")
+    walk.block(program.init)
+    for event in program.events:
+        walk.event(event)
+    for module in program.modules:
+        for assumption in module.assumptions:
+            walk.enter("assume")
+            walk.module = module.name
+            for name, type_ in decl.goals(assumption).items():
+                walk.declare(name, type_, assumption.span)
+            walk.typed(assumption.formula, BOOL)
+    for property_ in program.properties:
+        walk.enter("property")
+        for name, type_ in decl.free(property_.formula).items() if property_.kind == "axiom" else ():
+            walk.declare(name, type_, property_.span)
+        walk.typed(property_.formula, BOOL)
+
+
+class _Walk(Expressions):
+    def declarations(self) -> None:
+        p = self.program
+        named: list[tuple[str, Span]] = [(r.type.name, r.span) for r in p.records]
+        for group in (p.extern_types, p.functions, p.externs, p.specs, p.params, p.modules, p.shared, p.locals):
+            named += [(item.name, item.span) for item in group]
+        _distinct("declaration", named)
+        _distinct("event", [(e.name, e.span) for e in p.events])
+        self.blocks()
+        _distinct("property", [(q.name, q.span) for q in p.properties if q.name])
+        for record in p.records:
+            must(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
+            for value, (_, type_) in zip(record.defaults, record.type.fields, strict=True):
+                self.variable("literal", type_, value, record.span)
+        for param in p.params:
+            self.variable("literal", param.type, param.default, param.span)
+        variables: tuple[decl.Shared | decl.Local, ...] = (*p.shared, *p.locals)
+        for variable in variables:
+            self.variable("constant", variable.type, variable.initial, variable.span)
+        for module in p.modules:
+            _distinct("port", [(port.name, port.span) for port in module.ports])
+            for port in module.ports:
+                special = {"callable": PLANNER, "stream": STREAM}.get(port.direction)
+                must(special is None or port.type == special, f"{port.name} is a {port.type}", port.span)
+                if special is None:
+                    self.plain(port.type, port.span)
+        self.locks()
+
+    def variable(self, place: str, type_: Type, value: expr.Expr, span: Span) -> None:
+        self.plain(type_, span)
+        self.enter(place)
+        self.typed(value, type_)
+
+    def plain(self, type_: Type, span: Span) -> None:
+        """That values of a type may be stored: no port, region or poison, keys of a type with an order, capacities."""
+        match type_:
+            case Scalar():
+                must(type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"a value of type {type_}", span)
+            case Sized(name, capacity):
+                must(capacity > 0, f"a {name} of capacity {capacity}", span)
+            case Sequence(name, element, capacity):
+                must(name in ("List", "Queue", "Set") and capacity > 0, f"{type_} of {capacity}", span)
+                must(name != "Set" or is_key(element), f"{type_}", span)
+                self.plain(element, span)
+            case MapOf(key, value, capacity):
+                must(is_key(key) and capacity > 0, f"{type_} of {capacity}", span)
+                self.plain(value, span)
+            case TupleOf(items):
+                must(len(items) > 1, "a tuple of one", span)
+                for item in items:
+                    self.plain(item, span)
+            case RecordType(name):
+                must(self.records.get(name) == type_, f"no record {name}", span)
+            case ExternType(name):
+                must(name in self.extern_types, f"no extern type {name}", span)
+            case PerRobot():
+                must(False, f"a value of type {type_}", span)
+            case _:
+                assert_never(type_)
+
+    def locks(self) -> None:
+        at = Span(1, 1, 1, 1)
+        _distinct("locked variable", [(name, at) for group in self.program.locks for name in group])
+        declared = {v.name for v in self.program.shared}
+        for group in self.program.locks:
+            must(bool(group) and declared.issuperset(group), f"a lock of {', '.join(group) or 'nothing'}", at)
+
+    def functions(self) -> None:
+        callees: set[str] = set()
+        for function in self.program.functions:
+            self.callees = callees  # those before it
+            self.enter("function")
+            self.parameters(function.parameters, function.span)
+            self.plain(function.result, function.span)
+            self.result = function.result
+            self.block(function.block)
+            must(_returns(function.block), f"{function.name} can end without a result", function.span)
+            callees.add(function.name)
+        for extern in self.program.externs:
+            self.enter("contract")
+            self.parameters(extern.parameters, extern.span)
+            self.plain(extern.result, extern.span)
+            for formula in extern.requires:
+                self.typed(formula, BOOL)
+            must("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
+            self.temps["result"] = extern.result
+            for formula in extern.ensures:
+                self.typed(formula, BOOL)
+        for spec in self.program.specs:
+            self.enter("contract")
+            self.parameters(spec.parameters, spec.span)
+            self.plain(spec.result, spec.span)
+
+    def parameters(self, parameters: tuple[decl.Parameter, ...], span: Span) -> None:
+        for parameter in parameters:
+            type_ = parameter.type
+            self.plain(type_.element if isinstance(type_, PerRobot) else type_, span)
+            self.declare(parameter.name, type_, span)
+
+    def blocks(self) -> None:
+        """The `priority:` blocks are numbered from 0 in text order, and the events of each stand together."""
+        last, before = -1, None
+        for event in self.program.events:
+            block = event.priority
+            known = block is None or block == last + 1 or (block == last and block == before)
+            must(known, f"{event.name} is in the priority block {block}, which is not the next one", event.span)
+            last, before = last if block is None else block, block
+
+    def event(self, event: decl.Event) -> None:
+        self.enter("guard")
+        self.typed(event.guard, BOOL)
+        self.place = "effect"
+        self.block(event.effect)
+        if event.lock is not None:
+            locks = self.program.locks
+            must(0 <= event.lock < len(locks), f"no lock {event.lock}", event.span)
+            must(self.shared.issubset(locks[event.lock]), f"{event.name} uses more than its lock", event.span)
+
+    # Statements
+
+    def block(self, block: stmt.Block) -> None:
+        own = []
+        for statement in block:
+            match statement:
+                case stmt.Assign(place, value, span):
+                    self.typed(value, self.target(place, span))
+                case stmt.Let(name, type_, value, span):
+                    self.typed(value, type_)
+                    self.plain(type_, span)
+                    self.declare(name, type_, span)
+                    own.append(name)
+                case stmt.If(condition, then, orelse):
+                    self.typed(condition, BOOL)
+                    self.block(then)
+                    self.block(orelse)
+                case stmt.For():
+                    self.loop(statement)
+                case stmt.While(condition, inner):
+                    self.invariants(statement)
+                    self.typed(condition, BOOL)
+                    self.loops += 1
+                    self.block(inner)
+                    self.loops -= 1
+                case _:
+                    self.simple(statement)
+        for name in own:
+            del self.temps[name]
+
+    def loop(self, node: stmt.For) -> None:
+        element = self.element(node.values)
+        if len(node.names) > 1:
+            pairs = isinstance(element, TupleOf) and element.items == node.types
+            must(pairs, f"a {element} for {len(node.names)} names", node.span)
+        else:
+            must((element,) == node.types, f"a {element} for a {node.types[0]}", node.span)
+        named = isinstance(node.values, (expr.Range, expr.Ids))
+        if not named:
+            self.invariants(node)
+        for name, type_ in zip(node.names, node.types, strict=True):
+            self.declare(name, type_, node.span)
+        if named:
+            self.invariants(node)
+        self.loops += 1
+        self.block(node.block)
+        self.loops -= 1
+        for name in node.names:
+            del self.temps[name]
+
+    def invariants(self, loop: stmt.For | stmt.While) -> None:
+        self.at_head = True
+        for invariant in loop.invariants:
+            self.typed(invariant.formula, BOOL)
+        self.at_head = False
+
+    def simple(self, node: stmt.Stmt) -> None:
+        match node:
+            case stmt.Break(span) | stmt.Continue(span):
+                must(self.loops > 0, "outside a loop", span)
+            case stmt.Return(value, span):
+                must(self.place == "function" and self.result is not None, "a return outside a function", span)
+                assert self.result is not None
+                self.typed(value, self.result)
+            case stmt.Stop(span):
+                must(self.place in ("init", "effect"), f"a stop in a {self.place}", span)
+            case stmt.Emit(module, port, items, span):
+                must(self.place in ("init", "effect"), f"output in a {self.place}", span)
+                found = self.ports.get((module, port))
+                must(found is not None and found.direction == "stream", f"{module}.{port} is no stream", span)
+                for item in items:
+                    self.typed(item, STRING)
+            case stmt.Assign() | stmt.Let() | stmt.If() | stmt.For() | stmt.While():
+                raise AssertionError("these are the block's")
+            case _:
+                assert_never(node)
+
+    def target(self, place: stmt.Place, span: Span) -> Type:
+        if self.place not in ("init", "effect") and not isinstance(place, stmt.TempPlace):
+            must(False, f"a write in a {self.place}", span)
+        match place:
+            case stmt.LocalPlace(name):
+                return self.known(self.locals, name, span)
+            case stmt.OwnSlot(name):
+                self.shared.add(name)
+                return self.known(self.slots, name, span)
+            case stmt.SharedPlace(name):
+                self.shared.add(name)
+                return self.known(self.cells, name, span)
+            case stmt.TempPlace(name):
+                return self.known(self.temps, name, span)
+            case stmt.PortPlace(module, port):
+                found = self.ports.get((module, port))
+                if found is None or found.direction != "actuator":
+                    return must_not(f"{module}.{port} is no actuator", span)
+                return found.type
+            case _:
+                assert_never(place)
+
+
+def _distinct(what: str, named: Iterable[tuple[str, Span]]) -> None:
+    seen: set[str] = set()
+    for name, span in named:
+        must(name not in seen, f"two {what}s are called {name}", span)
+        seen.add(name)
+
+
+def _returns(block: stmt.Block) -> bool:
+    """Whether every way through a block ends in a `return`, or in a loop that nothing leaves."""
+    for statement in block:
+        match statement:
+            case stmt.Return():
+                return True
+            case stmt.If(_, then, orelse) if _returns(then) and _returns(orelse):
+                return True
+            case stmt.While(expr.Const(True), inner) if not _breaks(inner):
+                return True
+            case _:
+                pass
+    return False
+
+
+def _breaks(block: stmt.Block) -> bool:
+    """Whether a block may leave the loop around it."""
+    return any(
+        isinstance(s, stmt.Break) or (isinstance(s, stmt.If) and (_breaks(s.then) or _breaks(s.orelse))) for s in block
+    )

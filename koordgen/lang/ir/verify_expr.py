@@ -1,0 +1,362 @@
+"""The invariants of expressions: the type of every node, by its parts, and where it may stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.types import (
+    BALL,
+    BOOL,
+    FLOAT,
+    GRID,
+    GRIDMAP,
+    INT,
+    PLANNER,
+    POINT,
+    RECT,
+    SCAN,
+    STREAM,
+    STRING,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    TupleOf,
+    Type,
+    list_of,
+)
+from koordgen.lang.ir.verify_type import (
+    ORDERED_TYPES,
+    at_type,
+    binary_type,
+    builtin_type,
+    fields_of,
+    fits,
+    literal_type,
+    must,
+    must_not,
+)
+from koordgen.lang.source import Span
+
+# Where a node may stand, if not everywhere: `literal` (a param's default, a record's), `constant` (other first values),
+# `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
+_ACTING = frozenset(("init", "guard", "effect"))
+_PLACES: dict[type, frozenset[str]] = {
+    expr.Pid: _ACTING | {"assume"},
+    expr.NSys: _ACTING | {"property", "assume"},
+    expr.Ids: _ACTING | {"property", "assume"},
+    expr.ParamRead: _ACTING | {"constant", "function", "contract", "property", "assume"},
+    expr.LocalRead: _ACTING,
+    expr.SlotRead: _ACTING | {"property"},
+    expr.SlotsRead: frozenset(("guard", "effect", "property")),
+    expr.SharedRead: frozenset(("guard", "effect", "property")),
+    expr.PortRead: _ACTING | {"assume"},
+    expr.LocalOf: frozenset(("property",)),
+    expr.PortOf: frozenset(("property",)),
+    expr.Quantified: frozenset(("contract", "property", "assume")),
+    expr.Call: _ACTING | {"function", "contract", "property", "assume"},
+    expr.ExternCall: _ACTING | {"function", "contract", "property", "assume"},
+    expr.PortCall: frozenset(("init", "effect", "assume")),
+}
+
+
+class Expressions:
+    """What a program declares, and the place at which its expressions are looked at."""
+
+    def __init__(self, program: decl.Program) -> None:
+        self.program = program
+        self.params: dict[str, Type] = {p.name: p.type for p in program.params}
+        self.locals: dict[str, Type] = {v.name: v.type for v in program.locals}
+        self.slots: dict[str, Type] = {v.name: v.type for v in program.shared if v.kind == "allread"}
+        self.cells: dict[str, Type] = {v.name: v.type for v in program.shared if v.kind == "allwrite"}
+        self.ports = {(m.name, p.name): p for m in program.modules for p in m.ports}
+        self.records = {r.type.name: r.type for r in program.records}
+        self.extern_types = {t.name for t in program.extern_types}
+        self.signatures = {f.name: f for f in program.functions}
+        self.externs = {f.name: f for f in program.externs}
+        self.specs = {f.name: f for f in program.specs}
+        self.callees = set(self.signatures)  # in a function: those before it
+        self.enter("constant")
+
+    def enter(self, place: str) -> None:
+        """Begin a section: no temps."""
+        self.place = place
+        self.temps: dict[str, Type] = {}
+        self.minted: set[str] = set()
+        self.shared: set[str] = set()  # the shared variables it reads or writes
+        self.module = ""
+        self.result: Type | None = None
+        self.loops = 0
+        self.at_head = False  # within a loop invariant
+
+    def declare(self, name: str, type_: Type, span: Span) -> None:
+        must(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
+        self.minted.add(name)
+        self.temps[name] = type_
+
+    def known(self, declared: dict[str, Type], name: str, span: Span) -> Type:
+        found = declared.get(name)
+        return must_not(f"{name} is not declared", span) if found is None else found
+
+    def typed(self, node: expr.Expr, type_: Type) -> None:
+        """A node must be of a type."""
+        found = self.type_of(node)
+        if found is not type_ and found != type_:
+            must(False, f"a {type_} is wanted, not a {found}", node.span)
+
+    def type_of(self, node: expr.Expr) -> Type:
+        """The type of a node, which its parts agree with."""
+        kind = type(node)
+        places = _PLACES.get(kind)
+        if self.at_head and kind is expr.PortCall:
+            must(False, "a PortCall in a loop invariant", node.span)
+        if places is not None and self.place not in places and not (self.at_head and kind is expr.Quantified):
+            must(False, f"a {kind.__name__} in a {self.place}", node.span)
+        found: Type = _READERS.get(kind, Expressions.call)(self, node)
+        if found is not node.type and found != node.type:
+            must(False, f"a node of type {node.type} yields {found}", node.span)
+        return found
+
+    # What is read
+
+    def const(self, node: expr.Const) -> Type:
+        return literal_type(node.value, node.span)
+
+    def temp(self, node: expr.TempRead) -> Type:
+        return self.known(self.temps, node.name, node.span)
+
+    def index(self, node: expr.Pid | expr.NSys) -> Type:
+        return INT
+
+    def local(self, node: expr.LocalRead) -> Type:
+        return self.known(self.locals, node.name, node.span)
+
+    def slot(self, node: expr.SlotRead) -> Type:
+        self.shared.add(node.name)
+        self.typed(node.index, INT)
+        must(self.place != "init" or isinstance(node.index, expr.Pid), "init reads another's slot", node.span)
+        return self.known(self.slots, node.name, node.span)
+
+    def cell(self, node: expr.SharedRead) -> Type:
+        self.shared.add(node.name)
+        return self.known(self.cells, node.name, node.span)
+
+    def port_read(self, node: expr.PortRead) -> Type:
+        must(not node.primed or self.place == "assume", "a primed port", node.span)
+        return self.port(node.module, node.port, node.span)
+
+    def read(self, node: expr.Expr) -> Type:
+        span = node.span
+        match node:
+            case expr.ParamRead(name):
+                return self.known(self.params, name, span)
+            case expr.SlotsRead(name):
+                self.shared.add(name)
+                return PerRobot(self.known(self.slots, name, span))
+            case expr.LocalOf(name, robot):
+                self.typed(robot, INT)
+                return self.known(self.locals, name, span)
+            case expr.PortOf(module, port, robot):
+                self.typed(robot, INT)
+                return self.port(module, port, span)
+            case expr.Ids():
+                return list_of(INT)
+            case _:
+                return must_not(f"{type(node).__name__} is not read", span)
+
+    def port(self, module: str, port: str, span: Span) -> Type:
+        found = self.ports.get((module, port))
+        if found is None or found.direction not in ("sensor", "actuator"):
+            return must_not(f"{module}.{port} is not read", span)
+        if self.place == "assume" and module != self.module:
+            must(False, f"{module}.{port} is another module's", span)
+        return found.type
+
+    # What is computed
+
+    def binary(self, node: expr.Binary) -> Type:
+        op = node.op
+        if not node.proved and op not in ("/", "//", "%"):
+            must(False, f"{op} needs no proof", node.span)
+        return binary_type(op, self.type_of(node.left), self.type_of(node.right), node.span)
+
+    def compare(self, node: expr.Compare) -> Type:
+        op, type_ = node.op, self.type_of(node.left)
+        self.typed(node.right, type_)
+        if type_ is INT or type_ is FLOAT or type_ in ORDERED_TYPES:
+            must(op in ("==", "!=", "<", "<=", ">", ">="), "no such comparison", node.span)
+        elif type_ in (RECT, BALL, PLANNER, STREAM) or op not in ("==", "!="):
+            must(False, f"{op} on {type_}", node.span)
+        return BOOL
+
+    def logic(self, node: expr.Logic) -> Type:
+        must(node.op in ("and", "or"), "no such operator", node.span)
+        self.typed(node.left, BOOL)
+        self.typed(node.right, BOOL)
+        return BOOL
+
+    def widen(self, node: expr.Widen) -> Type:
+        self.typed(node.operand, INT)
+        return FLOAT
+
+    def operation(self, node: expr.Expr) -> Type:
+        span = node.span
+        match node:
+            case expr.Unary(op, operand):
+                type_ = self.type_of(operand)
+                allowed = {"not": (BOOL,), "-": (INT, FLOAT, POINT)}.get(op, ())
+                must(type_ in allowed, f"{op} on {type_}", span)
+                return type_
+            case expr.Conditional(condition, then, orelse):
+                self.typed(condition, BOOL)
+                type_ = self.type_of(then)
+                self.typed(orelse, type_)
+                return type_
+            case expr.Contains(item, values):
+                return self.contains(item, values)
+            case expr.Quantified(kind, name, domain, body):
+                must(kind in ("forall", "exists"), f"no quantifier {kind}", span)
+                self.declare(name, self.element(domain), span)
+                self.typed(body, BOOL)
+                del self.temps[name]
+                return BOOL
+            case expr.Range():
+                return must_not("a range is what a loop or a quantifier runs over", span)
+            case _:
+                return must_not(f"{type(node).__name__} is no operation", span)
+
+    def contains(self, item: expr.Expr, values: expr.Expr) -> Type:
+        held = self.type_of(values)
+        match held:
+            case Sequence(_, element) | PerRobot(element) | MapOf(element):
+                self.typed(item, element)
+            case _:
+                must(held in (STRING, RECT, BALL), f"nothing is in a {held}", values.span)
+                self.typed(item, STRING if held == STRING else POINT)
+        return BOOL
+
+    def element(self, node: expr.Expr) -> Type:
+        """What a loop or a quantifier over it runs over."""
+        if isinstance(node, expr.Range):
+            self.typed(node.start, INT)
+            self.typed(node.stop, INT)
+            must(node.step != 0 and node.type == list_of(INT), "a range of no steps", node.span)
+            return INT
+        match self.type_of(node):
+            case Sequence(_, element) | PerRobot(element) | MapOf(element):
+                return element
+            case other:
+                return must_not(f"nothing runs over a {other}", node.span)
+
+    def part(self, node: expr.Expr) -> Type:
+        span = node.span
+        match node:
+            case expr.Builtin(name, args):
+                return self.builtin(name, args, span)
+            case expr.Field(operand, name):
+                fields = fields_of(self.type_of(operand))
+                return self.known(fields, name, span)
+            case expr.Make(items, type_):
+                self.make(items, type_, span)
+                return type_
+            case expr.At(operand, index):
+                self.typed(index, INT)
+                return at_type(self.type_of(operand), span)
+            case expr.Item(operand, index):
+                type_ = self.type_of(operand)
+                must(isinstance(type_, TupleOf) and 0 <= index < len(type_.items), f"no item {index}", span)
+                assert isinstance(type_, TupleOf)
+                return type_.items[index]
+            case expr.Slice(operand, start, stop):
+                for bound in (start, stop):
+                    if bound is not None:
+                        self.typed(bound, INT)
+                type_ = self.type_of(operand)
+                must(type_ == STRING or (isinstance(type_, Sequence) and type_.name == "List"), f"{type_}", span)
+                return type_
+            case expr.With(operand, name, value):
+                type_ = self.type_of(operand)
+                must(isinstance(type_, (RecordType, TupleOf)), f"a {type_} with {name}", span)
+                self.typed(value, self.known(fields_of(type_), name, span))
+                return type_
+            case _:
+                return must_not(f"{type(node).__name__} is no part", span)
+
+    def make(self, items: tuple[expr.Expr, ...], type_: Type, span: Span) -> None:
+        wanted: tuple[Type, ...]
+        match type_:
+            case Sequence(_, element):
+                wanted = (element,) * len(items)
+            case MapOf(key, value):
+                wanted = (TupleOf((key, value)),) * len(items)
+            case TupleOf(parts):
+                wanted = parts
+            case RecordType(name, fields):
+                must(self.records.get(name) == type_, f"no record {name}", span)
+                wanted = tuple([field for _, field in fields])
+            case _:
+                empty = type_ in (GRIDMAP, SCAN) or (isinstance(type_, ExternType) and type_.name in self.extern_types)
+                must(empty, f"a {type_} is not made", span)
+                wanted = ()
+        must(len(items) == len(wanted), f"{len(items)} parts of a {type_}", span)
+        for item, part in zip(items, wanted, strict=True):
+            self.typed(item, part)
+
+    def call(self, node: expr.Expr) -> Type:
+        span = node.span
+        match node:
+            case expr.Call(name, args):
+                must(name in self.callees or (name in self.specs and self.place == "property"), f"no {name}", span)
+                known = self.specs.get(name) or self.signatures[name]
+                self.arguments(name, args, known.parameters, span)
+                return known.result
+            case expr.ExternCall(name, args):
+                must(name in self.externs, f"no extern function {name}", span)
+                self.arguments(name, args, self.externs[name].parameters, span)
+                return self.externs[name].result
+            case expr.PortCall(module, port, args):
+                found = self.ports.get((module, port))
+                must(found is not None and found.direction == "callable", f"{module}.{port} is not called", span)
+                must(len(args) in (1, 2), f"{len(args)} arguments of a planner", span)
+                self.typed(args[0], POINT)
+                if len(args) == 2:
+                    obstacles = self.type_of(args[1])
+                    must(obstacles in (list_of(GRID), list_of(POINT)), f"obstacles of type {obstacles}", span)
+                return list_of(POINT)
+            case _:
+                return must_not(f"{type(node).__name__} is no expression", span)
+
+    def arguments(
+        self, name: str, args: tuple[expr.Expr, ...], parameters: tuple[decl.Parameter, ...], span: Span
+    ) -> None:
+        must(len(args) == len(parameters), f"{name} of {len(args)} arguments", span)
+        for arg, parameter in zip(args, parameters, strict=True):
+            type_ = self.type_of(arg)
+            must(fits(type_, parameter.type), f"a {parameter.type} is wanted, not a {type_}", arg.span)
+
+    def builtin(self, name: str, args: tuple[expr.Expr, ...], span: Span) -> Type:
+        return builtin_type(name, [self.type_of(arg) for arg in args], span)
+
+
+# By the class of the node: a table, because finding the way is most of the work. A class that is not here is called,
+# or is no expression.
+_READERS: dict[type, Callable[[Expressions, Any], Type]] = {
+    expr.Const: Expressions.const,
+    expr.Pid: Expressions.index,
+    expr.NSys: Expressions.index,
+    expr.TempRead: Expressions.temp,
+    expr.LocalRead: Expressions.local,
+    expr.SlotRead: Expressions.slot,
+    expr.SharedRead: Expressions.cell,
+    expr.PortRead: Expressions.port_read,
+    expr.Binary: Expressions.binary,
+    expr.Compare: Expressions.compare,
+    expr.Logic: Expressions.logic,
+    expr.Widen: Expressions.widen,
+    **dict.fromkeys((expr.ParamRead, expr.SlotsRead, expr.LocalOf, expr.PortOf, expr.Ids), Expressions.read),
+    **dict.fromkeys((expr.Unary, expr.Conditional, expr.Contains, expr.Quantified, expr.Range), Expressions.operation),
+    **dict.fromkeys((expr.Builtin, expr.Field, expr.Make, expr.At, expr.Item, expr.Slice, expr.With), Expressions.part),
+}

@@ -1,0 +1,6 @@
+"""Semantics: the meaning of the language, executable and pure.
+
+Owns: evaluation of expressions, statements, events and properties; exact numbers; limits.
+Offers: `step`, `eval`, `property`. Back ends are tested against it.
+Must not import: syntax, checks, or any back end.
+"""

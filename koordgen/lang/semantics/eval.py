@@ -1,0 +1,374 @@
+"""What an expression means: pure, over what one robot sees at one moment.
+
+Numbers are Python's: ints without bound inside an event, floats of 64 bits, `/` a true quotient (of two ints as well),
+`//` and `%` floored with the divisor's sign. What has no value (a division by zero, an index out of range, a key that
+is not there, an int too large for a float) discards the event. NaN and infinity may arise, but a comparison that meets
+NaN discards the event, and so does either where it would be kept or sent. Where the checker has proved that a node
+cannot fail and it does, that is a mistake of the compiler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sized as HasLength
+from itertools import count
+from typing import Any, NamedTuple, TypeVar
+
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import FLOAT, STRING, MapOf, PerRobot, RecordType, Scalar, Sized, TupleOf
+from koordgen.lang.ir.types import ExternType as Extern
+from koordgen.lang.ir.types import Sequence as SequenceType
+from koordgen.lang.node import Node
+from koordgen.lang.semantics import builtins
+from koordgen.lang.semantics.exact import is_exact
+from koordgen.lang.semantics.numbers import arithmetic, as_real, compared
+from koordgen.lang.semantics.state import Robot
+from koordgen.lang.semantics.values import RecordValue, Value, as_, conforms, default, elements_in, items, number_flaw
+from koordgen.lang.source import Span
+from koordgen.runtime.values.points import Opaque, Point
+
+T = TypeVar("T", bound=HasLength)
+
+
+class Discarded(Exception):
+    """Why an event is discarded whole, and where."""
+
+    def __init__(self, reason: str, span: Span) -> None:
+        super().__init__(f"line {span.line}: {reason}")
+        self.reason = reason
+        self.span = span
+
+
+Call = Callable[[str, tuple[Value, ...]], Value]
+Spend = Callable[[int, Span], None]
+MAX_ELEMENTS = 100_000  # of what an event makes: elements of a list, set, map or queue, characters of a text
+ELEMENTS_A_TURN = 100  # that many of them cost a turn
+PAIRS_A_TURN = 10  # of points of two paths
+MOST_COUNTED = 100_000_000  # elements, for which no event has the turns
+
+
+class View(NamedTuple):
+    """What one robot sees: `slots` by allread name and pid, `cells` by allwrite name, `ports` by "Module.port". `call`
+    applies functions, `ask` callable ports. `after` are a robot's primed ports in an assumption; `robots` is the whole
+    fleet in a property. `spend` takes turns of the event's budget."""
+
+    pid: int
+    n_sys: int
+    params: Mapping[str, Value]
+    locals: Mapping[str, Value]
+    temps: Mapping[str, Value]
+    slots: Mapping[str, Sequence[Value]]
+    cells: Mapping[str, Value]
+    ports: Mapping[str, Value]
+    call: Call
+    ask: Call
+    after: Mapping[str, Value]
+    robots: Sequence[Robot]
+    spend: Spend
+
+
+def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> View:
+    """What stands open everywhere: params, the fleet's size, functions."""
+    return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
+
+
+def made(value: T, view: View, span: Span) -> T:
+    """Return a new list, set, map, queue or text, for the turns that it costs. Raises Discarded."""
+    size = len(value)
+    if size > MAX_ELEMENTS:
+        raise Discarded(f"{size} elements or characters, where an event makes at most {MAX_ELEMENTS}", span)
+    if size >= ELEMENTS_A_TURN:
+        view.spend(size // ELEMENTS_A_TURN, span)
+    return value
+
+
+def looked(node: ir.Expr, value: Value, view: View) -> Value:
+    """Return the value of a node, which is gone through, for the turns that it costs. Raises Discarded."""
+    one = node.type.element if isinstance(node.type, PerRobot) else node.type
+    if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
+        return value  # a number, or one for each robot
+    turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
+    if turns:
+        view.spend(turns, node.span)
+    return value
+
+
+def operand(node: ir.Expr, view: View) -> Value:
+    """Return the value of an operand of a comparison or a search, for the turns that it costs. Raises Discarded, also
+    where there is NaN in it."""
+    value = looked(node, evaluate(node, view), view)
+    try:
+        builtins.comparable(value)
+    except ArithmeticError as error:
+        raise _fault(node, str(error), False) from None
+    return value
+
+
+def evaluate(node: ir.Expr, view: View) -> Value:
+    """The value of a checked expression. Raises Discarded; InternalError where what was proved does not hold."""
+    return MEANINGS[type(node)](node, view)
+
+
+def holds(node: ir.Expr, view: View) -> bool:
+    """The value of a condition. Raises Discarded."""
+    return as_(bool, evaluate(node, view))
+
+
+def elements(node: ir.Expr, view: View) -> Iterator[Value]:
+    """What a loop or a quantifier runs over: the value as it is at the start."""
+    if isinstance(node, ir.Range):
+        return _steps(_number(node.start, view), _number(node.stop, view), node.step)
+    values = items(evaluate(node, view))
+    if isinstance(node.type, MapOf):
+        values = made(tuple([pair[0] for pair in values]), view, node.span)
+    return iter(values)
+
+
+def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
+    """Return the values of a loop over a range or `ID`, and these numbers without an end; None for other loops."""
+    match node:
+        case ir.Range(start, stop, step):
+            first = _number(start, view)
+            return _steps(first, _number(stop, view), step), count(first, step)
+        case ir.Ids():
+            return elements(node, view), count()
+        case _:
+            return None
+
+
+def _steps(start: int, stop: int, step: int) -> Iterator[int]:
+    while start < stop if step > 0 else start > stop:
+        yield start
+        start += step
+
+
+def _slot(node: ir.SlotRead, view: View) -> Value:
+    place = _number(node.index, view)
+    if not 0 <= place < view.n_sys:
+        raise _fault(node, f"index {place} names no robot (0 to {view.n_sys - 1})", node.proved)
+    return view.slots[node.name][place]
+
+
+def _port(node: ir.PortRead, view: View) -> Value:
+    return (view.after if node.primed else view.ports)[f"{node.module}.{node.port}"]
+
+
+def _unary(node: ir.Unary, view: View) -> Value:
+    if node.op == "not":
+        return not holds(node.operand, view)
+    positive = evaluate(node.operand, view)
+    return Point(-positive.x, -positive.y, -positive.z) if isinstance(positive, Point) else -as_real(positive)
+
+
+def _binary(node: ir.Binary, view: View) -> Value:
+    first, second = evaluate(node.left, view), evaluate(node.right, view)
+    try:
+        value = arithmetic(node.op, first, second)
+        return made(value, view, node.span) if isinstance(value, (str, tuple)) else value
+    except (ArithmeticError, ValueError) as error:
+        checked = node.op != "**" and isinstance(error, ZeroDivisionError)
+        reason = "division by zero" if checked and is_exact(first, second) else str(error)
+        raise _fault(node, reason, node.proved and checked) from None
+
+
+def _contains(node: ir.Contains, view: View) -> Value:
+    if isinstance(node.values.type, MapOf):
+        held = evaluate(node.values, view)
+        return builtins.has_key(held, evaluate(node.item, view))
+    member, held = operand(node.item, view), operand(node.values, view)
+    return _guarded(node, lambda: builtins.contains(held, member))
+
+
+def _compare(node: ir.Compare, view: View) -> Value:
+    value = evaluate if node.left.type == STRING else operand  # texts are compared as fast as a turn goes
+    left, right = value(node.left, view), value(node.right, view)
+    return _guarded(node, lambda: compared(node.op, left, right))
+
+
+def _logic(node: ir.Logic, view: View) -> Value:
+    left = holds(node.left, view)
+    return holds(node.right, view) if left == (node.op == "and") else left
+
+
+def _quantified(node: ir.Quantified, view: View) -> Value:
+    temps = dict(view.temps)
+    within = view._replace(temps=temps)
+
+    def truths() -> Iterator[bool]:
+        for value in elements(node.domain, view):
+            if not isinstance(node.domain, ir.Ids):
+                view.spend(1, node.span)
+            temps[node.name] = value
+            yield holds(node.body, within)
+
+    return all(truths()) if node.kind == "forall" else any(truths())
+
+
+def _range(node: ir.Range, view: View) -> Value:
+    raise InternalError("a range is no value")
+
+
+def _field(node: ir.Field, view: View) -> Value:
+    whole = evaluate(node.operand, view)
+    if isinstance(whole, RecordValue):
+        return whole.fields[_place(node.operand, node.name)]
+    return getattr(whole, node.name)  # type: ignore[no-any-return]
+
+
+def _at(node: ir.At, view: View) -> Value:
+    xs, i = evaluate(node.operand, view), _number(node.index, view)
+    return _guarded(node, lambda: builtins.element(xs, i), node.proved)
+
+
+def _slice(node: ir.Slice, view: View) -> Value:
+    xs = evaluate(node.operand, view)
+    low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
+    part = _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
+    return made(part, view, node.span)  # type: ignore[type-var]
+
+
+def _with(node: ir.With, view: View) -> Value:
+    whole, new = evaluate(node.operand, view), evaluate(node.value, view)
+    place = _place(node.operand, node.name)
+    if isinstance(whole, RecordValue):
+        return RecordValue(whole.name, _put(whole.fields, place, new))
+    return _put(items(whole), place, new)
+
+
+def _builtin(node: ir.Builtin, view: View) -> Value:
+    values = [_argument(node.name, arg, view) for arg in node.args]
+    zero = 0.0 if node.type == FLOAT else 0
+    if node.name in ("path_distance", "clear"):
+        view.spend(_pairs(node.name, values) // PAIRS_A_TURN, node.span)
+    value = _guarded(node, lambda: builtins.applied(node.name, values, zero))
+    if node.name == "merge":
+        view.spend(elements_in(value, MOST_COUNTED), node.span)
+    if node.name in builtins.MAPPING:
+        looked(node, value, view)
+    return made(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
+
+
+def _argument(name: str, arg: ir.Expr, view: View) -> Value:
+    if name in builtins.COMPARING:
+        return operand(arg, view)
+    value = evaluate(arg, view)
+    return looked(arg, value, view) if name in builtins.SEARCHING else value
+
+
+def _pairs(name: str, values: Sequence[Value]) -> int:
+    """Count the pairs of points of paths; each path has one more, so that an empty one counts too."""
+    others = [values[1]] if name == "path_distance" else items(values[1])
+    return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
+
+
+def _call(node: ir.Call | ir.ExternCall, view: View) -> Value:
+    values = tuple([evaluate(arg, view) for arg in node.args])
+    return _guarded(node, lambda: view.call(node.name, values))
+
+
+def _asked(node: ir.PortCall, view: View) -> Value:
+    port, args = f"{node.module}.{node.port}", tuple([evaluate(arg, view) for arg in node.args])
+    try:
+        answer = view.ask(port, args)
+    except Exception as error:
+        raise Discarded(f"{port} failed: {error}", node.span) from None
+    if not conforms(answer, node.type) or number_flaw(answer):
+        raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
+    return answer
+
+
+def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
+    """A value that need not exist: Discarded at this node then."""
+    try:
+        return compute()
+    except (ArithmeticError, ValueError) as error:
+        raise _fault(node, str(error), proved) from None
+
+
+def _fault(node: ir.Expr, reason: str, proved: bool) -> Exception:
+    if proved:
+        return InternalError(f"line {node.span.line}: proved to have a value, but: {reason}")
+    return Discarded(reason, node.span)
+
+
+def _number(node: ir.Expr, view: View) -> int:
+    return as_(int, evaluate(node, view))
+
+
+def _robot(node: ir.Expr, view: View) -> Robot:
+    pid = _number(node, view)
+    if not 0 <= pid < view.n_sys:
+        raise Discarded(f"index {pid} names no robot (0 to {view.n_sys - 1})", node.span)
+    return view.robots[pid]
+
+
+def _place(operand: ir.Expr, name: str) -> int:
+    """Where a field of a record stands, or an item of a tuple, which is named by its index."""
+    type_ = operand.type
+    if isinstance(type_, TupleOf):
+        return int(name)
+    if not isinstance(type_, RecordType):
+        raise InternalError(f"a {type_} has no parts")
+    return [field for field, _ in type_.fields].index(name)
+
+
+def _put(parts: tuple[Value, ...], place: int, value: Value) -> tuple[Value, ...]:
+    return tuple([value if i == place else part for i, part in enumerate(parts)])
+
+
+def _made(node: ir.Make, view: View) -> Value:
+    parts = tuple([evaluate(part, view) for part in node.items])
+    match node.type:
+        case SequenceType("Set"):
+            return builtins.set_of(parts)
+        case SequenceType() | TupleOf():
+            return parts
+        case MapOf():
+            return builtins.map_of(parts)
+        case RecordType(name):
+            return RecordValue(name, parts)
+        case Extern():
+            return Opaque()
+        case Sized() as type_:
+            return default(type_, {})
+        case _:
+            raise InternalError(f"a {node.type} is not made of parts")
+
+
+# One look at a node's class finds what it means: `match` asks for one class after the other, of which there are many,
+# and replaying a mission evaluates millions of nodes.
+MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
+    ir.Const: lambda node, view: node.value,
+    ir.Pid: lambda node, view: view.pid,
+    ir.NSys: lambda node, view: view.n_sys,
+    ir.Ids: lambda node, view: tuple(range(view.n_sys)),
+    ir.ParamRead: lambda node, view: view.params[node.name],
+    ir.LocalRead: lambda node, view: view.locals[node.name],
+    ir.TempRead: lambda node, view: view.temps[node.name],
+    ir.SharedRead: lambda node, view: view.cells[node.name],
+    ir.SlotRead: _slot,
+    ir.SlotsRead: lambda node, view: tuple(view.slots[node.name]),
+    ir.PortRead: _port,
+    ir.LocalOf: lambda node, view: _robot(node.robot, view).locals[node.name],
+    ir.PortOf: lambda node, view: _robot(node.robot, view).ports[f"{node.module}.{node.port}"],
+    ir.Widen: lambda node, view: _guarded(node, lambda: float(_number(node.operand, view))),
+    ir.Unary: _unary,
+    ir.Binary: _binary,
+    ir.Compare: _compare,
+    ir.Contains: _contains,
+    ir.Logic: _logic,
+    ir.Conditional: lambda node, view: evaluate(node.then if holds(node.condition, view) else node.orelse, view),
+    ir.Quantified: _quantified,
+    ir.Range: _range,
+    ir.Make: _made,
+    ir.Field: _field,
+    ir.Item: lambda node, view: items(evaluate(node.operand, view))[node.index],
+    ir.At: _at,
+    ir.Slice: _slice,
+    ir.With: _with,
+    ir.Builtin: _builtin,
+    ir.Call: _call,
+    ir.ExternCall: _call,
+    ir.PortCall: _asked,
+}

@@ -1,0 +1,239 @@
+"""Programs over exact numbers: every float of a program becomes the Fraction that it is, and nothing is rounded after.
+
+A prover reasons about real numbers. That its counterexamples are none of rounding is seen by running them so. The
+evaluator itself does not change: numbers are what they are, and a program that is made exact holds only Fractions where
+it held floats.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from functools import reduce, total_ordering
+from itertools import pairwise
+from typing import Any, TypeVar
+
+from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, Type
+from koordgen.lang.node import Node
+from koordgen.lang.source import Span
+from koordgen.runtime.values.points import Grid, Point, Pose
+
+MAX_BITS = 1 << 16  # of a numerator or denominator
+_TOO_LONG = f"a number of more than {MAX_BITS} bits"
+N = TypeVar("N")
+
+
+class NotExact(Exception):
+    """What is asked for is no rational number, and more is done with it than to compare it."""
+
+
+@total_ordering
+class Root:
+    """The square root of a rational number that has no rational one: it can be compared, with nothing rounded."""
+
+    def __init__(self, square: Fraction) -> None:
+        self.square = square
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Root) and self.square == other.square
+
+    def __hash__(self) -> int:
+        return hash(("root", self.square))
+
+    def __lt__(self, other: object) -> bool:
+        if isinstance(other, Root):
+            return self.square < other.square
+        if isinstance(other, (int, Fraction)):
+            return other > 0 and self.square < other * other
+        return NotImplemented
+
+    def _refuse(self, *_: object) -> Any:
+        raise NotExact(f"the root of {self.square}")
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _refuse
+    __floordiv__ = __rfloordiv__ = __mod__ = __rmod__ = __pow__ = __rpow__ = __neg__ = __abs__ = _refuse
+    __floor__ = __ceil__ = __round__ = __float__ = _refuse
+
+
+Exact = Fraction | Root
+
+
+def root(square: Fraction | int) -> Exact:
+    """The square root, as a Fraction where it is one. ValueError below zero."""
+    exact = Fraction(square)
+    if exact < 0:
+        raise ValueError("math domain error")
+    over, under = math.isqrt(exact.numerator), math.isqrt(exact.denominator)
+    if over * over == exact.numerator and under * under == exact.denominator:
+        return Fraction(over, under)
+    return Root(exact)
+
+
+def distance(p: Point, q: Point) -> Exact:
+    """The distance of two Points of exact coordinates, in metres."""
+    gaps: list[Any] = [p.x - q.x, p.y - q.y, p.z - q.z]
+    return root(sum((Fraction(gap * gap) for gap in gaps), Fraction(0)))
+
+
+def power(base: Any, exponent: Any) -> Fraction:
+    """A power whose exponent is whole. Raises NotExact, ZeroDivisionError."""
+    if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
+        raise NotExact("a power that is no rational number")
+    if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
+        raise NotExact(_TOO_LONG)
+    return within_exact(Fraction(base) ** int(exponent))
+
+
+def within_exact(number: N) -> N:
+    """Return an exact number. Raises NotExact where it has more bits than anything is computed with."""
+    if isinstance(number, Fraction) and _bits(number) > MAX_BITS:
+        raise NotExact(_TOO_LONG)
+    return number
+
+
+def _bits(number: Fraction) -> int:
+    return max(number.numerator.bit_length(), number.denominator.bit_length())
+
+
+def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
+    """The least distance of two paths of exact coordinates, in metres; infinite when one has no points."""
+    if not a or not b:
+        return math.inf
+    return root(min(_squared(p, q, r, s) for p, q in _segments(a) for r, s in _segments(b)))
+
+
+def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
+    return list(pairwise(path)) if len(path) > 1 else [(path[0], path[0])]
+
+
+def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
+    """Of the segments pq and rs: the squared distance of p + x (q - p) and r + y (s - r) is convex in x and y; its
+    least value on the unit square is at one end of a segment, or where both derivatives are zero."""
+    if p == q or r == s:
+        return _beyond(p, r, s) if p == q else _beyond(r, p, q)
+    d, e, w = _minus(q, p), _minus(s, r), _minus(p, r)
+    best = min(_beyond(p, r, s), _beyond(q, r, s), _beyond(r, p, q), _beyond(s, p, q))
+    dd, ee, de, dw, ew = _dot(d, d), _dot(e, e), _dot(d, e), _dot(d, w), _dot(e, w)
+    square = dd * ee - de * de
+    if square:
+        x, y = (de * ew - ee * dw) / square, (dd * ew - de * dw) / square
+        if 0 <= x <= 1 and 0 <= y <= 1:
+            gap = [w[i] + x * d[i] - y * e[i] for i in range(3)]
+            best = min(best, _dot(gap, gap))
+    return best
+
+
+def _beyond(x: Point, p: Point, q: Point) -> Fraction:
+    """The squared distance of a point from the segment pq."""
+    w = _minus(x, p)
+    if p == q:
+        return _dot(w, w)
+    d = _minus(q, p)
+    along = _dot(d, d)
+    t = min(max(_dot(w, d) / along, Fraction(0)), Fraction(1)) if along else Fraction(0)
+    gap = [w[i] - t * d[i] for i in range(3)]
+    return _dot(gap, gap)
+
+
+def _minus(a: Point, b: Point) -> list[Fraction]:
+    return [Fraction(a.x) - Fraction(b.x), Fraction(a.y) - Fraction(b.y), Fraction(a.z) - Fraction(b.z)]
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+# Builtins whose floats would be rounded.
+ROUNDING = frozenset(
+    ("distance", "sqrt", "path_distance", "clear", "sum", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp",
+     "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied")
+)  # fmt: skip
+
+
+def applied(name: str, args: list[Any]) -> Any:
+    """One of these builtins, of arguments some of which are exact. Raises NotExact where the result is no rational
+    number, nor a root of one."""
+    match name, args:
+        case "distance", [p, q]:
+            return distance(p, q)
+        case "sqrt", [x]:
+            return root(x) if not isinstance(x, Root) else x._refuse()
+        case "path_distance", [a, b]:
+            return path_distance(a, b)
+        case "clear", [path, paths, eps]:
+            return all(path_distance(path, other) > eps for other in paths)
+        case "sum", [xs]:
+            return reduce(lambda total, x: within_exact(total + x), xs, type(xs[0])())
+        case _:
+            raise NotExact(f"{name} of exact numbers")
+
+
+_INEXACT = frozenset((int, float, bool, str))
+
+
+def is_exact(*values: object) -> bool:
+    """Whether some of these values, or of their parts, are exact numbers."""
+    for value in values:
+        if type(value) in _INEXACT:
+            continue
+        if isinstance(value, Point):
+            value = (value.x, value.y, value.z)
+        if isinstance(value, (Fraction, Root)) or (isinstance(value, tuple) and is_exact(*value)):
+            return True
+    return False
+
+
+def made_exact(value: Any) -> Any:
+    """A value of the language with all its floats exact."""
+    if isinstance(value, float):
+        return Fraction(value)
+    if isinstance(value, Point):
+        return Point(*(made_exact(part) for part in (value.x, value.y, value.z)))
+    if isinstance(value, Pose):
+        return Pose(made_exact(value.position), made_exact(value.yaw))
+    if isinstance(value, Grid):
+        return Grid(value.x, value.y, made_exact(value.size))
+    if type(value) is tuple:
+        return tuple([made_exact(part) for part in value])
+    if isinstance(value, tuple):  # a record
+        return type(value)(*[made_exact(part) for part in value])
+    return value
+
+
+def exact(program: decl.Program) -> decl.Program:
+    """The program over exact numbers.
+
+    before: x := 1 / 4      after: x := (0 + 1) / 4, that 0 being a Fraction
+    """
+    return _exact(program)  # type: ignore[no-any-return]
+
+
+def _exact(node: Any) -> Any:
+    if type(node) is tuple:
+        return tuple([_exact(part) for part in node])
+    if not isinstance(node, Node) or isinstance(node, (Span, Type)):
+        return node
+    made = type(node)(*[_exact(getattr(node, field)) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    match made:
+        case expr.Const(value, type_, span) if isinstance(value, float):
+            return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
+        case expr.Widen(operand, _, span):
+            return _widened(operand, span)
+        case expr.Builtin("sum", (values,), type_, span) if type_ == FLOAT:
+            return _summed(values, made, span)
+        case expr.Binary("/", left, right, proved, type_, span) if left.type == INT:
+            return expr.Binary("/", _widened(left, span), right, proved, type_, span)
+        case _:
+            return made
+
+
+def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
+    """The sum of no numbers is an exact zero, too."""
+    some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
+    return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
+
+
+def _widened(operand: expr.Expr, span: Span) -> expr.Expr:
+    zero = expr.Const(Fraction(0), FLOAT, span)  # type: ignore[arg-type]
+    return expr.Binary("+", zero, operand, True, FLOAT, span)

@@ -1,0 +1,133 @@
+"""Operators on numbers, Points, texts and lists, as their values are at run time."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.semantics.exact import is_exact, power, within_exact
+from koordgen.lang.semantics.values import Value, as_, has_nan, same
+from koordgen.runtime.values.points import NotANumber, Point
+
+T = TypeVar("T")
+
+MAX_EXPONENT = 1024
+MAX_BITS = 4096  # of an int
+SMALL_BITS = 64  # ints of at most so many may be added to any
+
+
+def as_real(value: Value) -> int | float:
+    """An int, a float, or what stands for a float where nothing is rounded."""
+    if not isinstance(value, (int, float)) and not is_exact(value):
+        raise InternalError(f"{value!r} is no number")
+    return value  # type: ignore[return-value]
+
+
+def arithmetic(op: str, left: Value, right: Value) -> Value:
+    """One operator on two values of agreeing types; raises ArithmeticError or ValueError where there is no value."""
+    match left, right:
+        case Point(), Point():
+            if op == "+":
+                return _point(left.x + right.x, left.y + right.y, left.z + right.z)
+            return _point(left.x - right.x, left.y - right.y, left.z - right.z)
+        case Point(), _:
+            by = as_real(right)
+            if op == "*":
+                return _point(left.x * by, left.y * by, left.z * by)
+            return _point(left.x / by, left.y / by, left.z / by)
+        case _, Point():
+            return arithmetic(op, right, left)
+        case (str(), str()) | (tuple(), tuple()):
+            return left + right  # type: ignore[operator]
+        case _:
+            return sized(op, as_real(left), as_real(right))
+
+
+def _point(x: float, y: float, z: float) -> Point:
+    return Point(within_exact(x), within_exact(y), within_exact(z))
+
+
+def sized(op: str, left: int | float, right: int | float) -> int | float:
+    """One operation on numbers, none of which grows without bound. A product or power of ints of more than MAX_BITS has
+    no value, nor has a sum or difference of two ints that are both beyond SMALL_BITS."""
+    ints = isinstance(left, int) and isinstance(right, int)
+    if ints and op == "*" and left.bit_length() + right.bit_length() > MAX_BITS + 1:  # type: ignore[union-attr]
+        raise ValueError(_TOO_LONG)
+    found = _of_numbers(op, left, right)
+    if not ints or (op in "+-" and min(left.bit_length(), right.bit_length()) <= SMALL_BITS):  # type: ignore[union-attr]
+        return within_exact(found)
+    return within_bits(found)
+
+
+def within_bits(number: T) -> T:
+    """Return a number. ValueError for an int of more than MAX_BITS."""
+    if isinstance(number, int) and number.bit_length() > MAX_BITS:
+        raise ValueError(_TOO_LONG)
+    return number
+
+
+def _of_numbers(op: str, left: int | float, right: int | float) -> int | float:
+    match op:
+        case "+":
+            return left + right
+        case "-":
+            return left - right
+        case "*":
+            return left * right
+        case "/":
+            return left / right
+        case "//":
+            return left // right
+        case "%":
+            return left % right
+        case "**":
+            return _power(left, right)
+        case _:
+            raise InternalError(f"no operator {op}")
+
+
+def _power(base: int | float, exponent: int | float) -> int | float:
+    if isinstance(base, float) or isinstance(exponent, float):
+        return math.pow(base, exponent)
+    if is_exact(base, exponent):
+        return power(base, exponent)  # type: ignore[return-value]
+    if exponent < 0:
+        raise ValueError("an int to the power of a negative one")
+    if exponent > MAX_EXPONENT and abs(base) > 1:
+        raise ValueError(f"an exponent above {MAX_EXPONENT}")
+    if abs(base) > 1 and (abs(base).bit_length() - 1) * exponent >= MAX_BITS:
+        raise ValueError(_TOO_LONG)
+    return as_(int, base**exponent)
+
+
+_TOO_LONG = f"an int of more than {MAX_BITS} bits"
+
+
+def compared(op: str, left: Value, right: Value) -> bool:
+    """A comparison of two values of one type. Raises NotANumber where either has NaN in it."""
+    if has_nan(left) or has_nan(right):
+        raise NotANumber
+    match op:
+        case "==":
+            return same(left, right)
+        case "!=":
+            return not same(left, right)
+        case _ if isinstance(left, str):
+            return _ordered(op, left, as_(str, right))
+        case _:
+            return _ordered(op, as_real(left), as_real(right))
+
+
+def _ordered(op: str, first: int | float | str, second: int | float | str) -> bool:
+    match op:
+        case "<":
+            return first < second  # type: ignore[operator]
+        case "<=":
+            return first <= second  # type: ignore[operator]
+        case ">":
+            return first > second  # type: ignore[operator]
+        case ">=":
+            return first >= second  # type: ignore[operator]
+        case _:
+            raise InternalError(f"no comparison {op}")

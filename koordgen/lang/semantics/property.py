@@ -1,0 +1,64 @@
+"""What properties mean, over the shared store, every robot's locals and ports; and port assumptions, over one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.expr import PortCall, TempRead
+from koordgen.lang.semantics.eval import holds
+from koordgen.lang.semantics.exec import Budget, library
+from koordgen.lang.semantics.state import NOTHING, State, World
+from koordgen.lang.semantics.step import no_port
+from koordgen.lang.semantics.values import Value, conforms, same
+
+
+class Asked(NamedTuple):
+    """One call of a callable port, by "Module.port", and what it answered."""
+
+    port: str
+    args: tuple[Value, ...]
+    answer: Value
+
+
+def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
+    """Whether a property holds at a round's boundary. Raises Discarded where its formula has no value (an index that
+    names no robot), NoMeaning where it asks a `spec fun` of which `world` knows nothing."""
+    view = library(program, len(state.robots), state.params, world, Budget(world.turns), no_port)
+    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
+    return holds(property_.formula, view)
+
+
+def holds_assumption(
+    assumption: decl.Assumption, program: decl.Program, before: Mapping[str, Value], after: Mapping[str, Value],
+    pid: int, n_sys: int, params: Mapping[str, Value], world: World = NOTHING, asked: Sequence[Asked] = (),
+) -> bool:  # fmt: skip
+    """Whether a module's assumption holds of one robot: `before` are its ports right after the program's step, `after`
+    at a moment of the delta that follows, both by "Module.port". `asked`: its calls in that step. What is assumed for
+    all goals is held to those that were asked for, and holds where none was. Raises Discarded where the formula has no
+    value."""
+    answers = {(call.port, call.args): call.answer for call in asked}
+
+    def ask(port: str, args: tuple[Value, ...]) -> Value:
+        return answers[port, args] if (port, args) in answers else world.answer(pid, port, args)
+
+    view = library(program, n_sys, params, world, Budget(world.turns), ask)._replace(pid=pid, ports=before, after=after)
+    patterns = list(decl.handed(assumption.formula))
+    return all(holds(assumption.formula, view._replace(temps=temps)) for temps in _goals(patterns, asked, {}))
+
+
+def _goals(
+    patterns: list[tuple[PortCall, dict[int, TempRead]]], asked: Sequence[Asked], known: dict[str, Value]
+) -> Iterator[dict[str, Value]]:
+    """What the goals can stand for, so that each of the calls was made; once, where there are no goals."""
+    if not patterns:
+        yield known
+        return
+    (call, goals), *rest = patterns
+    for made in asked:
+        if made.port == f"{call.module}.{call.port}" and len(made.args) == len(call.args):
+            given = {goal.name: made.args[place] for place, goal in goals.items()}
+            typed = all(conforms(given[goal.name], goal.type) for goal in goals.values())
+            if typed and all(name not in known or same(known[name], value) for name, value in given.items()):
+                yield from _goals(rest, asked, {**known, **given})

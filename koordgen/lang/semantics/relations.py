@@ -1,0 +1,111 @@
+"""Every step that the language allows: any enabled event of any robot, or none, in any order. Agents take one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import permutations
+
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.state import NOTHING, State, Store, World
+from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
+
+Environment = Callable[[State], Iterable[State]]
+Happened = tuple[State, str, int | None, int]  # a state, the event that led to it, its robot (None: all), the round
+
+
+def choices(
+    program: decl.Program, state: State, pid: int, begun: Store | None = None, world: World = NOTHING
+) -> list[Step]:
+    """Return the steps of one robot in a round: skip, or run any event whose guard holds, that has priority and that is
+    not discarded. `begun` is the store at the round's start (the state's own unless given), on which plain events run
+    and guards of earlier events of a `priority:` block are evaluated; atomic events run on the state's."""
+    found = [Step(pid, None, None)]
+    if not state.robots[pid].stopped:
+        steps = (choice(program, event, state, pid, begun, world) for event in program.events)
+        found += [step for step in steps if step is not None]
+    return found
+
+
+def choice(
+    program: decl.Program, event: decl.Event, state: State, pid: int, begun: Store | None = None,
+    world: World = NOTHING,
+) -> Step | None:  # fmt: skip
+    """The step of one event among the `choices` of a robot that has not stopped; None where it is none of them."""
+    copy = state if begun is None else state._replace(store=begun)
+    seen = copy if event.lock is None else state
+    try:
+        ready = has_priority(program, event, copy, pid, world) and enabled(program, event, seen, pid, world)
+    except Discarded:
+        return None
+    outcome = execute(program, event.effect, seen, pid, world) if ready else None
+    return Step(pid, event.name, outcome) if isinstance(outcome, Writes) else None
+
+
+def post(program: decl.Program, state: State, order: Sequence[int], world: World = NOTHING) -> list[State]:
+    """Every state after the robots of `order` took one step each, in that order: the state itself where it is empty."""
+    states = [state]
+    for pid in order:
+        states = _distinct(applied(s, c) for s in states for c in choices(program, s, pid, state.store, world))
+    return states
+
+
+def rounds(program: decl.Program, state: State, world: World = NOTHING) -> list[State]:
+    """Every state at the end of a round's program step: all orders of all robots."""
+    orders = permutations(range(len(state.robots)))
+    found = _distinct(after for order in orders for after in post(program, state, order, world))
+    return [after._replace(round=state.round + 1) for after in found]
+
+
+def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: World = NOTHING) -> bool:
+    """Return whether agents can do every round of a run: each robot skips, or runs the first event in text order whose
+    guard holds at the round's start (behind a guard without a value it runs none); commits come first, at most one for
+    each lock; then plain events by ascending pid. An event that is discarded may stand last."""
+    before = run[0][0]
+    rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # by number: how each begins, its steps
+    for after, event, pid, number in run:
+        if pid is not None and event != "init":
+            rounds_of.setdefault(number, (before, []))[1].append((pid, event))
+        before = after
+    return all(_is_round_of_agents(program, begun, steps, world) for begun, steps in rounds_of.values())
+
+
+def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
+    locks: list[int] = []  # of the commits
+    plain: list[int] = []  # pids of the plain events
+    for pid, name in steps:
+        chosen = select(program, begun, pid, world)
+        if isinstance(chosen, Step):  # its guard has no value
+            return chosen.event == name and (pid, name) == steps[-1]
+        if chosen is None or chosen.name != name:
+            return False
+        if chosen.lock is None:
+            plain.append(pid)
+        elif plain:
+            return False
+        else:
+            locks.append(chosen.lock)
+    return plain == sorted(plain) and len(locks) == len(set(locks))
+
+
+def end(states: Iterable[State], environment: Environment) -> list[State]:
+    """Every state after the environment's step: delta has passed, all robots have moved, all copies are fresh."""
+    return _distinct(moved for state in states for moved in environment(state))
+
+
+def reach(
+    program: decl.Program, states: Sequence[State], environment: Environment, count: int, world: World = NOTHING
+) -> list[State]:
+    """Every state at the end of `count` rounds; the states themselves for 0."""
+    for _ in range(count):
+        states = end([after for state in states for after in rounds(program, state, world)], environment)
+    return list(states)
+
+
+def _distinct(states: Iterable[State]) -> list[State]:
+    found: list[State] = []
+    for state in states:
+        if state not in found:
+            found.append(state)
+    return found

@@ -1,0 +1,178 @@
+"""What a program means: states, one event of one robot, a round, init. Pure; what the agents do is compared with it.
+
+Of the rounds that the language allows, `round_` is the one that agents take: each robot runs the first event in text
+order whose guard holds, on the shared store as it was at the round's start. First come the commits of atomic events, at
+most one for each lock, then the plain events by ascending pid: of several writers of an allwrite variable the last
+counts. What one event wrote takes effect together. relations.py has all the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.semantics.eval import Discarded, View, evaluate, holds
+from koordgen.lang.semantics.exec import Budget, Writes, constant, library, run
+from koordgen.lang.semantics.state import NOTHING, Robot, State, Store, World, nobody
+from koordgen.lang.semantics.values import RecordValue, Value, default
+from koordgen.runtime.values.points import Point
+
+
+class Step(NamedTuple):
+    """What one robot did in a round: the event chosen (None: init, or no guard held) and its outcome; None when it
+    skipped."""
+
+    pid: int
+    event: str | None
+    outcome: Writes | Discarded | None
+
+
+def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
+    """Before init: initial values everywhere, sensors as given by robot and "Module.port". An unset actuator holds: a
+    `target` is where the robot is, unless it is given."""
+    constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
+    params = {p.name: constant(p.default, constants, p.type) for p in program.params}
+    constants = constants._replace(params=params)
+    variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
+    first = {v.name: constant(v.initial, constants, v.type) for v in variables}
+    locals_ = {v.name: first[v.name] for v in program.locals}
+    slots = {v.name: (first[v.name],) * n_sys for v in program.shared if v.kind == "allread"}
+    cells = {v.name: first[v.name] for v in program.shared if v.kind == "allwrite"}
+    blank = {
+        r.type.name: RecordValue(r.type.name, tuple([evaluate(d, constants) for d in r.defaults]))
+        for r in program.records
+    }
+    unset = {
+        f"{m.name}.{p.name}": default(p.type, blank)
+        for m in program.modules
+        for p in m.ports
+        if p.direction in ("sensor", "actuator")
+    }
+    given = [sensors[pid] if pid < len(sensors) else {} for pid in range(n_sys)]
+    robots = tuple(Robot(locals_, {**unset, **_held(program, known), **known}, False) for known in given)
+    return State(params, robots, Store(slots, cells), 0)
+
+
+def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
+    """The targets of a robot that nothing was commanded yet."""
+    targets = [m.name for m in program.modules for p in m.ports if (p.name, p.direction) == ("target", "actuator")]
+    places = {f"{module}.target": sensors.get(f"{module}.position") for module in targets}
+    return {name: place for name, place in places.items() if isinstance(place, Point)}
+
+
+def no_port(port: str, args: tuple[Value, ...]) -> Value:
+    """The callable ports where nobody is asking."""
+    return nobody(-1, port, args)
+
+
+def run_init(program: decl.Program, state: State, world: World = NOTHING) -> tuple[State, list[Step]]:
+    """Every robot's init, each on the store before it; round 1 comes next. Where one of them is discarded, no mission
+    begins: nothing goes on from the state that is returned then."""
+    steps = [Step(pid, None, execute(program, program.init, state, pid, world)) for pid in range(len(state.robots))]
+    return _all_applied(state, steps)._replace(round=1), steps
+
+
+def round_(
+    program: decl.Program, state: State, skipping: Collection[int] = (), grants: Mapping[int, int] | None = None,
+    world: World = NOTHING,
+) -> tuple[State, list[Step]]:  # fmt: skip
+    """The program's step of one round, the steps in the order in which they count; robots in `skipping` and those that
+    stopped take none. `grants` tells which robot has the right to each lock; without it the lowest pid that wants one
+    has it. A robot whose first enabled event is atomic and that lacks the right skips. The environment's step (`sense`)
+    comes after it."""
+    chosen = [
+        (pid, select(program, state, pid, world))
+        for pid, robot in enumerate(state.robots)
+        if not robot.stopped and pid not in skipping
+    ]
+    wanted = [(pid, e.lock) for pid, e in chosen if isinstance(e, decl.Event) and e.lock is not None]
+    holder = {lock: pid for pid, lock in reversed(wanted)} if grants is None else grants
+    commits, plain = [], []
+    for pid, event in chosen:
+        if event is None or isinstance(event, Step):
+            plain.append(event or Step(pid, None, None))
+        elif event.lock is None:
+            plain.append(Step(pid, event.name, execute(program, event.effect, state, pid, world)))
+        elif holder.get(event.lock) == pid:
+            commits.append(Step(pid, event.name, execute(program, event.effect, state, pid, world)))
+        else:
+            plain.append(Step(pid, None, None))
+    steps = commits + plain
+    return _all_applied(state, steps)._replace(round=state.round + 1), steps
+
+
+def select(program: decl.Program, state: State, pid: int, world: World = NOTHING) -> decl.Event | Step | None:
+    """The first event in text order whose guard holds; None when none does. A guard without a value is a discarded
+    Step of its event: no later one is looked at."""
+    for event in program.events:
+        try:
+            if enabled(program, event, state, pid, world):
+                return event
+        except Discarded as discarded:
+            return Step(pid, event.name, discarded)
+    return None
+
+
+def enabled(program: decl.Program, event: decl.Event, state: State, pid: int, world: World = NOTHING) -> bool:
+    """Whether an event's guard holds for a robot. Raises Discarded."""
+    return holds(event.guard, _view(program, state, pid, world, Budget(world.turns)))
+
+
+def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: int, world: World = NOTHING) -> bool:
+    """Return whether the guard of every earlier event in the event's `priority:` block has a value and is false.
+
+    `begun`: what the robot sees at the round's start. Outside of blocks every event has priority."""
+    try:
+        return not any(enabled(program, earlier, begun, pid, world) for earlier in program.earlier(event))
+    except Discarded:
+        return False
+
+
+def execute(
+    program: decl.Program, block: stmt.Block, state: State, pid: int, world: World = NOTHING
+) -> Writes | Discarded:
+    """An effect (or init) of one robot on a state: its writes, or why none of them counts."""
+    budget = Budget(world.turns)
+    return run(program, block, _view(program, state, pid, world, budget), budget)
+
+
+def sense(state: State, sensors: Sequence[Mapping[str, Value]]) -> State:
+    """The environment's step: new sensor values, by robot and "Module.port"; those not named stay. All robots are
+    moved, those that skipped or stopped, too."""
+    robots = tuple(r._replace(ports={**r.ports, **new}) for r, new in zip(state.robots, sensors, strict=True))
+    return state._replace(robots=robots)
+
+
+def applied(state: State, step: Step) -> State:
+    """A state after what one step wrote, all of it together. Who was given a new goal has not `reached` it."""
+    pid, outcome = step.pid, step.outcome
+    if not isinstance(outcome, Writes):
+        return state
+    sent = {name.rpartition(".")[0] for name in outcome.ports if name.endswith((".target", ".path"))}
+    cleared = {f"{module}.reached": False for module in sent if f"{module}.reached" in state.robots[pid].ports}
+    ports = {**state.robots[pid].ports, **cleared, **outcome.ports}
+    robots = list(state.robots)
+    robots[pid] = Robot(dict(outcome.locals), ports, outcome.stopped)
+    slots = dict(state.store.slots)
+    for name, value in outcome.slots.items():
+        slots[name] = (*slots[name][:pid], value, *slots[name][pid + 1 :])
+    return state._replace(robots=tuple(robots), store=Store(slots, {**state.store.cells, **outcome.cells}))
+
+
+def _all_applied(state: State, steps: Sequence[Step]) -> State:
+    for step in steps:
+        state = applied(state, step)
+    return state
+
+
+def _view(program: decl.Program, state: State, pid: int, world: World, budget: Budget) -> View:
+    robot, store, n_sys = state.robots[pid], state.store, len(state.robots)
+
+    def ask(port: str, args: tuple[Value, ...]) -> Value:
+        return world.answer(pid, port, args)
+
+    functions = library(program, n_sys, state.params, world, budget, no_port)
+    return functions._replace(
+        pid=pid, locals=robot.locals, slots=store.slots, cells=store.cells, ports=robot.ports, ask=ask
+    )

@@ -1,0 +1,307 @@
+"""Text -> tokens, split into sections: what stands at the left margin begins one.
+
+Lines, indentation, brackets, comments and continuation lines are settled here, so the grammar sees NEWLINE, INDENT
+and DEDENT only. A mistake in one section leaves the others readable.
+"""
+
+from __future__ import annotations
+
+import re
+
+from koordgen.lang.diagnostics import Diagnostic, Label
+from koordgen.lang.source import Source, Span
+
+# type (a literal's own text, or NAME GENERIC INT FLOAT STRING NEWLINE INDENT DEDENT BAD $END), text, line, column
+Token = tuple[str, str, int, int]
+
+DEEPEST_BRACKETS = 100
+DEEPEST_BLOCKS = 30
+
+# Words of the language: they never become names.
+KEYWORDS = frozenset(
+    (
+        "using", "sensors", "actuators", "assume", "param", "allread", "allwrite", "local", "init", "pre", "eff",
+        "def", "fun", "extern", "spec", "axiom", "invariant", "initially", "forall", "exists",
+        "if", "elif", "else", "for", "while", "break", "continue", "return", "atomic", "pass", "stop",
+        "and", "or", "not", "in", "True", "False",
+    )
+)  # fmt: skip
+GENERICS = frozenset(("List", "Map", "Set", "Queue"))
+# Words of the language in one place each, names elsewhere.
+_SOFT = frozenset(("max", "type", "requires", "ensures", "priority"))
+_MARKS = frozenset(
+    (
+        "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
+        *"-+*/%<>=:.,()[]{}!",
+    )
+)  # fmt: skip
+_BEFORE_PRIME = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_])'")
+
+# It has no groups, so that `findall` gives texts: a text alone says what it is, but for a single quote; see `kind_of`.
+TOKEN = re.compile(
+    r"[A-Za-z_][A-Za-z0-9_]*"
+    r"|[ \t]+"
+    r"|\n"
+    r"|(?:[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)(?![A-Za-z0-9_])"
+    r"|[0-9]+(?![A-Za-z0-9_]|\.[0-9])"
+    r"|\"[^\"\\\n]*(?:\\.[^\"\\\n]*)*\"|(?<![A-Za-z0-9_\])'])'[^'\\\n]*(?:\\.[^'\\\n]*)*'"
+    r"|//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])'"
+    r"|\#[^\n]*"
+    r"|\\[ \t]*\n"
+    r"|[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|."  # what is wrong
+)
+# What begins a line that no bracket reaches: the one before was not closed.
+_BEGINS = re.compile(
+    r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
+    r"|invariant|initially|elif|for|while|break|continue|return|atomic|pass|stop)\b"
+    r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
+    r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
+)
+# The same, but for `name = ` alone: it may be an argument of a call.
+_ASSIGNS = re.compile(
+    r"[ ]*[A-Za-z_][A-Za-z0-9_]*(?P<more>(?:\.[A-Za-z_][A-Za-z0-9_]*|\[[^\]\n]*\])*(?:[ ]+[A-Za-z_][A-Za-z0-9_]*)?)"
+    r"[ \t]*(?:[-+*/%]|//|\*\*)?=(?!=)"
+)
+_NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
+GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
+_CLOSES = {")": "(", "]": "[", "}": "{"}
+_BRACKETS = frozenset("()[]{}")
+
+
+def kind_of(token: str) -> str:
+    """What a text is that TOKEN has found: NAME SPACE NEWLINE CONTINUED COMMENT INT FLOAT STRING MARK BAD. Of a
+    single quote only what stands before it says whether it is a MARK: here it is BAD."""
+    first = token[0]
+    if token in _MARKS:
+        return "MARK"
+    if token.isascii() and token.isidentifier():
+        return "NAME"
+    if first in " \t":
+        return "SPACE"
+    if first == "#":
+        return "COMMENT"
+    if token[-1] == "\n":
+        return "NEWLINE" if token == "\n" else "CONTINUED"
+    if first in "\"'":
+        inside = token[1:-1]
+        escaped = (len(inside) - len(inside.rstrip("\\"))) % 2 == 1
+        return "STRING" if len(token) > 1 and token[-1] == first and not escaped else "BAD"
+    if first in ".0123456789":
+        return "INT" if token.isdigit() else "FLOAT" if _is_float(token) else "BAD"
+    return "BAD"
+
+
+def _is_float(token: str) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return "_" not in token
+
+
+class _Kinds(dict[str, str | None]):
+    """By the text of a token, its type; None where more is to be done than to append it. For one text, so that what
+    it holds goes with it."""
+
+    def __missing__(self, token: str) -> str | None:
+        kind = kind_of(token)
+        known: str | None = None
+        if kind == "NAME":
+            known = token if token in KEYWORDS else "GENERIC" if token in GENERICS else kind
+            known = None if token in _SOFT else known
+        elif kind == "MARK":
+            known = None if token in _BRACKETS else token
+        elif kind in ("INT", "FLOAT", "STRING") or (kind == "BAD" and token[0] not in "\"'"):
+            known = kind
+        self[token] = known
+        return known
+
+
+class Chunk:
+    """The tokens of one section, `$END` last, INDENT and DEDENT paired; `faults` of its layout, each at a token of
+    it; `long` when a line of it is long enough to hold a tree too deep."""
+
+    __slots__ = ("faults", "long", "tokens")
+
+    def __init__(self) -> None:
+        self.tokens: list[Token] = []
+        self.faults: list[Diagnostic] = []
+        self.long = False
+
+
+def sections(source: Source) -> list[Chunk]:
+    """All sections of a text."""
+    layout = _Layout()
+    layout.read(source.text)
+    return layout.chunks
+
+
+class _Layout:
+    def __init__(self) -> None:
+        self.chunks: list[Chunk] = []
+        self.chunk = Chunk()
+        self.indents = [0]
+        self.lines = [1]  # the first line of each block that is open
+        self.brackets: list[Token] = []
+
+    def read(self, text: str) -> None:
+        line, line_start, column, indent, tab = 1, 0, 1, 0, -1
+        fresh = True  # nothing of this logical line has been seen
+        first = 0  # where in the chunk the logical line starts
+        kinds = _Kinds()
+        append = self.chunk.tokens.append
+        for token in TOKEN.findall(text):
+            kind = kinds[token]
+            if kind is not None and not fresh:
+                append((kind, token, line, column))
+            elif token[0] in " \t":
+                if fresh:
+                    indent, tab = len(token), token.find("\t")
+            elif token[-1] == "\n":
+                if token == "\n" and (not self.brackets or self._abandoned(text, line_start + column)):
+                    if not fresh:
+                        self._end_line(line, column, first)
+                    fresh, indent, tab = True, 0, -1
+                line, line_start, column = line + 1, line_start + column - 1 + len(token), 1
+                continue
+            elif token[0] != "#":
+                if fresh:
+                    fresh = False
+                    if token not in GOES_ON or not self._goes_on(indent):
+                        self._start_line(line, indent, tab)
+                        first = len(self.chunk.tokens)
+                        append = self.chunk.tokens.append
+                if kind is None:
+                    at = line_start + column - 1
+                    kind = self._special(token, text[at - 1 : at], line, column)
+                append((kind, token, line, column))
+            column += len(token)
+        if self.brackets:
+            self._never_closed()
+        if not fresh:
+            self._end_line(line, column, first)
+        self._end_chunk(line, 1)
+
+    def _special(self, token: str, before: str, line: int, column: int) -> str:
+        """The type of a token whose text alone does not settle everything; `before` is the character before it."""
+        if token in _BRACKETS:
+            self._bracket((token, token, line, column))
+            return token
+        if token in _SOFT:
+            return self._soft(token)
+        if token == "'" and before in _BEFORE_PRIME:
+            return token
+        # A string that its line does not close is told here: it may hide closing brackets.
+        self._report("K001", "this string is not closed", line, column, f"a string ends with {token[0]} on its line")
+        self.brackets.clear()
+        return "STRING"
+
+    def _start_line(self, line: int, indent: int, tab: int) -> None:
+        if tab >= 0:
+            self._report("K004", "a tab stands in the indentation", line, tab + 1, "indent with spaces")
+        if indent == 0:
+            self._end_chunk(line, 1)
+        elif indent > self.indents[-1]:
+            self.indents.append(indent)
+            self.lines.append(line)
+            if len(self.indents) == DEEPEST_BLOCKS + 2:
+                self._report("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", line, indent + 1)
+            self.chunk.tokens.append(("INDENT", "", line, indent + 1))
+        while indent < self.indents[-1]:
+            left, begun = self.indents.pop(), self.lines.pop()
+            if indent > self.indents[-1]:
+                self._between(line, indent, begun, left)
+                self.indents.append(indent)  # the innermost block goes on here
+                self.lines.append(line)
+                break
+            self.chunk.tokens.append(("DEDENT", "", line, indent + 1))
+
+    def _between(self, line: int, indent: int, begun: int, left: int) -> None:
+        """Report a line that stands less deep than the block that begins in line `begun`, and deeper than the one
+        around it."""
+        around = self.indents[-1]
+        ends = f", or this line by {around} to end the block" if around else ""
+        help = f"indent this line by {left} spaces as line {begun}, or line {begun} by {indent}{ends}"
+        label = Label(Span(begun, left + 1, begun, left + 2), f"this block stands at {left} spaces")
+        self._report("K005", f"{indent} spaces match no enclosing block", line, indent + 1, help, (label,))
+
+    def _end_line(self, line: int, column: int, first: int) -> None:
+        tokens = self.chunk.tokens
+        if len(tokens) - first > DEEPEST_BRACKETS:
+            self.chunk.long = True
+        tokens.append(("NEWLINE", "", line, column))
+
+    def _end_chunk(self, line: int, column: int) -> None:
+        chunk = self.chunk
+        if chunk.tokens:
+            chunk.tokens.extend([("DEDENT", "", line, column)] * (len(self.indents) - 1))
+            chunk.tokens.append(("$END", "", line, column))
+            self.chunks.append(chunk)
+            self.chunk = Chunk()
+        self.indents, self.lines = [0], [line]
+
+    def _bracket(self, token: Token) -> None:
+        _, text, line, column = token
+        if text not in _CLOSES:
+            self.brackets.append(token)
+            if len(self.brackets) == DEEPEST_BRACKETS + 1:
+                self._report("K007", f"brackets are nested more than {DEEPEST_BRACKETS} deep", line, column)
+        elif not self.brackets:
+            self._report("K006", f"'{text}' closes nothing", line, column, _NO_BRACES if text == "}" else "")
+        else:
+            opened = self.brackets.pop()
+            if opened[1] != _CLOSES[text]:
+                while any(bracket[1] == _CLOSES[text] for bracket in self.brackets[-DEEPEST_BRACKETS:]):
+                    self.brackets.pop()  # it closes an outer one
+                label = Label(Span(opened[2], opened[3], opened[2], opened[3] + 1), "opened here")
+                self._report("K006", f"'{text}' does not close '{opened[1]}'", line, column, labels=(label,))
+
+    def _abandoned(self, text: str, position: int) -> bool:
+        """Whether what follows a line end shows that the open brackets were forgotten; they are told then."""
+        if _BEGINS.match(text, position) is None:
+            assigns = _ASSIGNS.match(text, position)
+            bracket, last = self.brackets[-1][0], self.chunk.tokens[-1][0]
+            argument = bracket == "(" and last in ("(", ",")
+            if assigns is None or last == "{" or (argument and not assigns["more"]):
+                return False
+        self._never_closed()
+        self.brackets.clear()
+        return True
+
+    def _never_closed(self) -> None:
+        bracket = self.brackets[0]
+        _, text, line, column = bracket
+        help = _NO_BRACES if text == "{" and self.chunk.tokens[-1] == bracket else ""
+        self._report("K006", f"'{text}' is never closed", line, column, help)
+
+    def _goes_on(self, indent: int) -> bool:
+        """Whether a line that begins with `and` or `or` belongs to the one before; its end is taken back then."""
+        tokens = self.chunk.tokens
+        if not tokens or indent == 0 or indent < self.indents[-1]:
+            return False
+        tokens.pop()
+        return True
+
+    def _soft(self, text: str) -> str:
+        """The type of the token of a word that is one of the language in one place only."""
+        tokens = self.chunk.tokens
+        last = tokens[-1][0] if tokens else ""
+        if text == "max":  # behind `Type name` or `Type name[size]`
+            before = tokens[-2][0] if len(tokens) > 1 else ""
+            meant = before != "[" if last == "]" else last == "NAME" and before in ("NAME", ">", "]", ")")
+        elif text == "type":
+            meant = last == "extern"
+        elif text == "priority":  # at the left margin
+            meant = not tokens
+        else:  # the contracts of an extern function
+            meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] == "extern"
+        return text if meant else "NAME"
+
+    def _report(
+        self, code: str, message: str, line: int, column: int, help: str = "", labels: tuple[Label, ...] = ()
+    ) -> None:
+        faults = self.chunk.faults
+        if faults and faults[-1].code == code and faults[-1].span.line == line:
+            return  # a million brackets that close nothing are one mistake
+        span = Span(line, column, line, column + 1)
+        faults.append(Diagnostic(code, "error", message, span, labels, help))

@@ -1,0 +1,143 @@
+"""Characters and marks that Koord has not, or not so: what other languages mean by them, and how Koord has it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.syntax.spot import Spot, place, shown
+
+_CHARACTERS = {
+    ";": "write each statement on a line of its own, without ';'",
+    "&": "write 'and'",
+    "|": "write 'or'",
+    "~": "write 'not'",
+    "?": "write 'a if condition else b'",
+    "^": "a power is written '**'",
+    "\u201c": 'a string stands in straight quotes: "..."',
+    "\u201d": 'a string stands in straight quotes: "..."',
+    "\u2018": "a string stands in straight quotes: '...'",
+    "\u2019": "a string stands in straight quotes: '...'",
+    "\u2013": "write '-'",
+    "\u2212": "write '-'",
+    "\u00d7": "write '*'",
+    "\u00b7": "write '*'",
+    "\u2264": "write '<='",
+    "\u2265": "write '>='",
+    "\u2260": "write '!='",
+    "\u2192": "write '->'",
+    "\u2227": "write 'and'",
+    "\u2228": "write 'or'",
+    "\u00ac": "write 'not'",
+    "\u2200": "write 'forall'",
+    "\u2203": "write 'exists'",
+    "\u2208": "write 'in'",
+    "\u00a0": "write an ordinary space",
+    "\\": "a '\\' that continues a line is the last of it",
+}
+
+
+def _character(spot: Spot) -> Diagnostic | None:
+    if spot.kind != "BAD":
+        return None
+    text = spot.text
+    if text[0].isdigit() and text[0].isascii():
+        return _number(spot)
+    if text.isalpha():
+        help = "a name is made of the letters a to z and A to Z, digits and '_'"
+    else:
+        help = _CHARACTERS.get(text, "")
+    known = (text.isprintable() and text.isascii()) or text.isalpha()
+    name = f"'{text}'" if known else f"'{text}' (U+{ord(text):04X})" if text.isprintable() else f"'U+{ord(text):04X}'"
+    return spot.error(f"unexpected character {name}", help, code="K002")
+
+
+def _number(spot: Spot) -> Diagnostic:
+    text = spot.text
+    help = ""
+    if re.fullmatch(r"[0-9][0-9_]*(\.[0-9_]*)?", text):
+        help = f"write {shown(text.replace('_', ''))}"
+    elif re.fullmatch(r"0[xX][0-9a-fA-F]{1,15}|0[oO][0-7]{1,20}|0[bB][01]{1,60}", text):
+        help = f"write {int(text, 0)}"
+    elif re.fullmatch(r"[0-9.]+[fFdDlLuU]", text):
+        help = f"write {shown(text[:-1])}"
+    elif re.fullmatch(r"[0-9]+[A-Za-z_][A-Za-z0-9_]*", text):
+        help = "a name does not begin with a digit"
+    return spot.error(f"'{shown(text)}' is no number", help)
+
+
+def _quotes(spot: Spot) -> Diagnostic | None:
+    """`f"..."`, also where its quote reads as a prime; strings side by side; texts of several lines."""
+    before, head = spot.before, spot.head
+    if before is None:
+        return None
+    prefix = None
+    if spot.kind == "STRING" and spot.touches("NAME"):
+        prefix = before
+    elif before[0] == "'" and len(head) > 1 and head[-2][0] == "NAME" and head[-2][1].lower() in ("f", "r", "b", "u"):
+        prefix = head[-2]
+    if prefix is not None and prefix[1].lower() in ("f", "fr", "rf"):
+        return spot.error("Koord has no f-strings", "join texts: 'at ' + str(x)", place(prefix, before))
+    if prefix is not None:
+        return spot.error("nothing stands before the quotes of a string", span=place(prefix, before))
+    if spot.kind == "STRING" and before[0] == "STRING":
+        if before[1] in ('""', "''"):
+            return spot.error("a string stands on one line", "a comment begins with '#'", place(before, before))
+        return spot.error("two strings stand side by side", "join them with '+'")
+    return None
+
+
+def _points(spot: Spot) -> Diagnostic | None:
+    """`1.`, and ranges as in other languages."""
+    dots = spot.before_is(".") and spot.text[:1] == "."
+    if spot.first[0] == "for" and (dots or spot.text in ("to", "until", "downto")):
+        return spot.error(f"expected ',' or ':', found '{spot.text}'", "write 'for i in range(a, b):'")
+    if spot.before_is(".") and not dots and len(spot.head) > 1 and spot.head[-2][0] == "INT":
+        first, dot = spot.head[-2:]
+        return spot.error(f"'{shown(first[1])}.' is no number", f"write {shown(first[1])}.0", place(first, dot))
+    return None
+
+
+def _marks(spot: Spot) -> Diagnostic | None:
+    """Marks of other languages, which read as two of ours."""
+    head = spot.head
+    for mark in ("+", "-"):
+        doubled = len(head) > 1 and head[-1][0] == head[-2][0] == mark and head[-1][3] == head[-2][3] + 1
+        if doubled and (spot.ends or spot.kind == ")"):
+            return _step(spot, mark, head[-3][1] if len(head) == 3 and head[-3][0] == "NAME" else "x")
+        if spot.kind == mark and spot.touched_by(mark):
+            operand = spot.rest[1][1] if len(spot.rest) > 1 and spot.rest[1][0] == "NAME" else "x"
+            return _step(spot, mark, operand)
+        if spot.kind == mark == "+" and spot.touches("+"):
+            operand = head[0][1] if len(head) == 2 and head[0][0] == "NAME" else "x"
+            return _step(spot, mark, operand)
+    pair = f"{spot.before[1]}{spot.text}" if spot.before is not None and spot.touches(spot.before[0]) else ""
+    ours = {"<>": "!=", "===": "==", "!==": "!=", "=<": "<=", "=>": ">="}.get(pair)
+    if ours is None and spot.kind == "=" and spot.touched_by(">"):
+        pair, ours = "=>", ">="
+    elif ours is None and spot.kind == "=" and spot.touched_by("<"):
+        pair, ours = "=<", "<="
+    if ours is None and spot.kind == ":" and spot.touched_by("="):
+        pair, ours = ":=", "="
+    if ours is None and spot.kind == ":" and spot.touched_by(":") and spot.before_is("NAME"):
+        pair, ours = "::", "."
+    if ours is None and spot.kind == "->" and "." in spot.expected:
+        pair, ours = "->", "."
+    if ours is not None:
+        return spot.error(f"Koord has no '{pair}'", f"write '{ours}'")
+    if spot.kind == "+" and spot.wants_expression:
+        return spot.error("a value has no '+' before it", "leave the '+' out")
+    if spot.kind in ("//", "/") and ("pass" in spot.expected or spot.position == 0):
+        return spot.error(f"no line begins with '{spot.kind}'", "a comment begins with '#'")
+    if spot.kind == "NAME" and any(token[0] == "//" for token in spot.head) and not spot.touches("//"):
+        return spot.error(f"expected an operator, found '{shown(spot.text)}'", "a comment begins with '#'")
+    return None
+
+
+def _step(spot: Spot, mark: str, operand: str) -> Diagnostic:
+    return spot.error(f"Koord has no '{mark}{mark}'", f"write {shown(operand)} {mark}= 1")
+
+
+# In this order: the first that knows a mistake tells it.
+MARKS: tuple[Callable[[Spot], Diagnostic | None], ...] = (_character, _quotes, _points, _marks)

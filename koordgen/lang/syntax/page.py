@@ -1,0 +1,86 @@
+"""Writes docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether that is
+due.
+
+What serves the machine alone is left out: the names of functions, the marks of inlining, and what stands for mistakes.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from koordgen.lang import resources
+from koordgen.lang.syntax.generate import GRAMMAR
+
+PAGE = Path(__file__).parents[3] / "docs" / "grammar.md"
+
+_HEAD = """# Koord's grammar
+
+Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) says what each construct
+means. A program is a sequence of sections, each beginning at the left margin.
+
+`"word"` stands for itself; `a*` none or more, `a+` one or more, `a?` one or none, `a | b` either. A `suite` of items is
+one on the header's line, or several on deeper lines, or both. NEWLINE ends a line outside of brackets that does not end
+in `\\`; INDENT and DEDENT stand where lines begin to be deeper and cease to be.
+
+| | |
+|---|---|
+| NAME | a letter or `_`, then letters, digits, `_` (ASCII); no word of the language |
+| GENERIC | `List`, `Map`, `Set`, `Queue` |
+| INT | digits, not beginning with 0 unless it is 0; at most 2^63 - 1 |
+| FLOAT | `1.5`, `.5`, `1e-3`, `2.5E+6` |
+| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; behind a name, `]`, `)`, `'` is a prime |
+"""
+_RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
+
+
+def page(grammar: str) -> str:
+    """The page's text."""
+    parts = [_HEAD]
+    for title, rules in _sections(grammar):
+        parts.append(f"\n## {title}\n\n```\n" + "\n".join(map(_shown, rules)) + "\n```\n")
+    return "".join(parts)
+
+
+def _sections(grammar: str) -> Iterator[tuple[str, list[str]]]:
+    """Title -> its rules, each with all its lines; a comment that begins with a capital is a title."""
+    title, rules = "Program", list[str]()
+    for line in grammar.split("\n"):
+        if line.startswith("// ") and rules and line[3].isupper() and not rules[-1].startswith("//"):
+            yield title, rules
+            title, rules = re.split(r"[.,]", line[3:])[0], []
+        elif line.startswith((" ", "\t")) and rules:
+            rules[-1] += "\n" + line
+        elif _RULE.match(line):
+            rules.append(line)
+    yield title, rules
+
+
+def _shown(rule: str) -> str:
+    found = _RULE.match(rule)
+    assert found, rule
+    alternatives = dict.fromkeys(
+        _plain(a) for a in re.split(r"\n?\s+\|(?=\s)|\n\s*\|\s", found[3]) if "BROKEN" not in a
+    )
+    name = _name(found[1]) + (" of items" if found[2] else "")
+    return f"{name}: " + ("\n" + " " * len(name) + "| ").join(alternatives)
+
+
+def _plain(alternative: str) -> str:
+    text = re.sub(r"\s+->\s+[a-z_]+\s*$", "", alternative.strip())
+    text = re.sub(r"_suite\{(\w+)\}", lambda m: f"suite of {_name(m[1])}", text)
+    return re.sub(r'"[^"]*"|\b_?[a-z][a-z_]*\b', lambda m: m[0] if m[0][0] == '"' else _name(m[0]), text)
+
+
+def _name(rule: str) -> str:
+    return rule if rule in ("of", "item", "items", "suite") else rule.strip("_").replace("_", "-")
+
+
+def main(arguments: list[str]) -> int:
+    return resources.freshen({PAGE: page(GRAMMAR.read_text(encoding="utf-8"))}, arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,38 @@
+"""Parser: text to syntax tree, one section at a time, with recovery from mistakes."""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+from koordgen.lang.diagnostics import Diagnostic, in_order
+from koordgen.lang.source import Source
+from koordgen.lang.syntax import build, decl
+from koordgen.lang.syntax.layout import sections
+from koordgen.lang.syntax.lr import Stuck, section
+
+
+def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
+    """The tree of a text and what is wrong with it. What could not be read stands in the tree as broken nodes, and
+    the text is right when nothing was found."""
+    collecting = gc.isenabled()
+    gc.disable()  # a tree has no cycles; collecting while it grows doubles the time of a long program
+    try:
+        chunks = sections(source)
+        read: list[Any] = []
+        found: list[Diagnostic] = []
+        for chunk in chunks:
+            wrong: Stuck | build.Refused | None = None
+            if not chunk.faults:
+                try:
+                    read.append(section(chunk.tokens, chunk.long))
+                    continue
+                except (Stuck, build.Refused) as error:
+                    wrong = error
+            from koordgen.lang.syntax.recover import recovered
+
+            read.append(recovered(chunk, found, wrong))
+    finally:
+        if collecting:
+            gc.enable()
+    return decl.Program(tuple(read)), in_order(found)

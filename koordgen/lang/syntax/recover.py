@@ -1,0 +1,360 @@
+"""Reads on after a mistake: what is wrong is replaced in the tokens by BROKEN, and the section is parsed again.
+
+What is replaced is a line at most, or a block where its header says nothing. Which replacement fits is asked of the
+tables: each candidate, the one that keeps most first, is run from the state before its line. Right programs never
+come here, so nothing here has to be fast, only linear; a section is parsed once more for each mistake in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.source import Span
+from koordgen.lang.syntax import build, decl
+from koordgen.lang.syntax._generated.grammar import START, STATES
+from koordgen.lang.syntax.build import token_span
+from koordgen.lang.syntax.layout import Chunk
+from koordgen.lang.syntax.lr import DEEPEST_TREE, ROWS, Stuck, section, too_deep
+from koordgen.lang.syntax.mistake import explain
+
+MOST_FAULTS = 30  # told of one text
+_DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need
+
+_MARGINS = ("NEWLINE", "INDENT", "DEDENT")
+_DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
+_CATCHING = ("except", "catch", "finally")
+_NAMED = ("using", "def", "invariant", "axiom")  # headers of a word and a name
+
+Tokens = list[Any]
+States = list[int]
+
+
+def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refused | None) -> decl.Section:
+    """The node of a section in which something is wrong: its layout, or what ended the first try. What is, is added to
+    `found`, up to MOST_FAULTS of them."""
+    repair = _Repair(chunk, found)
+    faults = sorted(chunk.faults, key=_place, reverse=True)
+    while not repair.hopeless:
+        if wrong is None and faults and repair.readable(faults[-1]):
+            repair.fault(faults.pop())
+        elif wrong is not None:
+            if isinstance(wrong, Stuck):
+                repair.stuck(wrong.position)
+            else:
+                repair.fault(wrong.diagnostic)
+            wrong = None
+        else:
+            try:
+                return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
+            except (Stuck, build.Refused) as error:
+                wrong = error
+    first = chunk.tokens[0]
+    return decl.BrokenSection(_names(chunk.tokens), Span(first[2], first[3], first[2], first[3] + len(first[1])))
+
+
+class _Repair:
+    """The tokens of a section, as far as they are repaired. Every step tells of a mistake or gives up."""
+
+    def __init__(self, chunk: Chunk, found: list[Diagnostic]) -> None:
+        self.tokens: Tokens = list(chunk.tokens)
+        self.found = found
+        self.touched: dict[int, int] = {}  # how often a line of the text was repaired
+        self.told: set[tuple[int, int]] = set()  # the places that were told of
+        self.tried = False  # a `try` was told of: what catches for it is its echo
+        self.muted = False  # the indentation is not what it looks like
+        self.hopeless = len(found) == MOST_FAULTS
+        kinds = {token[0] for token in chunk.tokens}
+        self.headless = chunk.tokens[0][0] == "NAME" and not kinds & {"pre", "eff"}  # hardly an event
+
+    def readable(self, diagnostic: Diagnostic) -> bool:
+        """Whether all that stands before the line of a diagnostic is right by now."""
+        start = _start(self.tokens, self._position(diagnostic))
+        return _advanced([START], self.tokens[:start]) is not None
+
+    def _position(self, diagnostic: Diagnostic) -> int:
+        """Of the token at which the span begins; of an INDENT only where blocks are too deep."""
+        where = _place(diagnostic)
+        margins = ("DEDENT",) if diagnostic.code == "K007" else ("INDENT", "DEDENT")
+        ahead = (i for i, token in enumerate(self.tokens) if token[2:4] >= where and token[0] not in margins)
+        return next(ahead, len(self.tokens) - 1)
+
+    def fault(self, diagnostic: Diagnostic) -> None:
+        """What the layout or a builder found."""
+        position = self._position(diagnostic)
+        told = self._tell(diagnostic, position)
+        if diagnostic.code == "K004":
+            self.muted = True
+        elif diagnostic.code == "K005":
+            if told:
+                self._rejoin(position)
+        elif self.tokens[position][0] == "INDENT":  # blocks too deep
+            end = _block_end(self.tokens, position)
+            self.tokens[position + 1 : end - 1] = [_broken(self.tokens[position:end]), self.tokens[position - 1]]
+        else:
+            self._line(position, colon=False)
+
+    def stuck(self, position: int) -> None:
+        """What the parser cannot go on with."""
+        states = _advanced([START], self.tokens[:position])
+        kind = self.tokens[position][0]
+        if self.muted or states is None:
+            self.hopeless = True
+            return
+        blockless = position > 0 and _wants_block(states)
+        ended = not blockless and (kind in ("DEDENT", "$END") or _fits(states, [], ("$END",)))
+        if ended and self.touched:  # repairs have left too little or too much
+            self.hopeless = True
+            return
+        if len(states) > _DEEPEST_STACK:
+            first = self._tell(too_deep(token_span(self.tokens[position])).diagnostic, position)
+        else:
+            first = self._tell(explain(self.tokens, position, states), position)
+        if kind == "INDENT":
+            self._deeper(position, states)
+        elif kind in ("pre", "eff") and self.tokens[0][0] == "priority" and _awaits_event(states):
+            self._nameless(position)
+        elif blockless:
+            self._no_block(position, states)
+        elif kind in ("DEDENT", "$END"):
+            self.hopeless = True
+        else:
+            self._line(position, colon=first)
+
+    def _tell(self, diagnostic: Diagnostic, position: int) -> bool:
+        """Whether this is the first mistake in its line: a second one may be an echo and is not told, and no more is
+        another one at the same place, which may be a header above."""
+        first = self.tokens[_start(self.tokens, position)]
+        line = first[2]
+        echo = self.muted or (self.tried and first[1] in _CATCHING)
+        self.tried |= first[1] == "try"
+        times = self.touched[line] = self.touched.get(line, 0) + 1
+        where = _place(diagnostic)
+        if times == 1 and where not in self.told and not echo and len(self.found) < MOST_FAULTS:
+            self.found.append(diagnostic)
+            self.told.add(where)
+        self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS
+        return times == 1
+
+    def _rejoin(self, position: int) -> None:
+        """A line between two blocks: it belongs to the inner one, unless only the outer one can hold it."""
+        states = _advanced([START], self.tokens[:position])
+        line = self.tokens[position]
+        if states is not None and not _fits(states, [], line) and _fits(states, [("DEDENT",)], line):
+            end = _block_end(self.tokens, position) - 1
+            self.tokens.insert(position, self.tokens.pop(end))
+
+    def _deeper(self, position: int, states: States) -> None:
+        """Lines deeper than they may be: they are taken as if they were not, unless none can stand there."""
+        end = _block_end(self.tokens, position)
+        self.tokens[position:end] = (
+            self.tokens[position + 1 : end - 1] if _fits(states, [], self.tokens[position + 1]) else []
+        )
+
+    def _nameless(self, position: int) -> None:
+        """Clauses without the name of their event: they are left out together."""
+        end = position
+        while self.tokens[end][0] in ("pre", "eff"):
+            end = _next_line(self.tokens, end)
+        del self.tokens[position:end]
+
+    def _no_block(self, position: int, states: States) -> None:
+        """A header without a block: the lines that follow are taken for it as far as they can stand nowhere else."""
+        end = position - 1
+        hole = [_broken(self.tokens[_start(self.tokens, end) : end]), self.tokens[end]]
+        before = _advanced([START], self.tokens[:end])
+        beside = _advanced(before, hole) if before is not None else None
+        inside = _advanced(states, [("INDENT",)])
+        stop = position
+        while inside is not None and _fits(inside, [], self.tokens[stop]):
+            if beside is not None and _fits(beside, [], self.tokens[stop]):
+                break
+            stop = _next_line(self.tokens, stop)
+        if stop > position:
+            self.tokens.insert(stop, ("DEDENT", "", *self.tokens[stop][2:4]))
+            self.tokens.insert(position, ("INDENT", "", *self.tokens[position][2:4]))
+        elif beside is not None:
+            self.tokens.insert(end, hole[0])
+        else:
+            self.hopeless = True
+
+    def _line(self, position: int, colon: bool) -> None:
+        """Replaces what is wrong in the line by the first candidate that fits."""
+        start = _start(self.tokens, position)
+        end = start
+        while self.tokens[end][0] not in (*_MARGINS, "$END"):
+            end += 1
+        states = _advanced([START], self.tokens[:start])
+        if states is None or self.tokens[end][0] != "NEWLINE":
+            self.hopeless = True
+            return
+        deep = self.tokens[end + 1][0] == "INDENT"
+        block = _block_end(self.tokens, end + 1) if deep else end + 1
+        for line, keeps_block in self._candidates(start, position, end, block, colon):
+            new = [*line, self.tokens[end]] if line else []
+            rest = end + 1 if keeps_block else block
+            reached = _advanced(states, new)
+            if reached is not None and _follows(reached, self.tokens[rest]):
+                self.tokens[start:rest] = new
+                return
+        self.hopeless = True
+
+    def _candidates(
+        self, start: int, position: int, end: int, block: int, colon: bool
+    ) -> Iterator[tuple[Tokens, bool]]:
+        """What may stand for `tokens[start:end]`, and whether the block below stays; what keeps most comes first."""
+        tokens = self.tokens
+        if colon and _depth(tokens[start:position]) == 0:
+            yield [*tokens[start:position], _mark(":", tokens[position]), *tokens[position:end]], True
+        parts = _parts(tokens[start:end])
+        bad = next((i for i, part in enumerate(parts) if tokens[position] in part), len(parts) - 1)
+        prefix = [token for part in parts[:bad] for token in part]
+        part, rest = parts[bad], [token for later in parts[bad + 1 :] for token in later]
+        hole = [_broken(tokens[start:end])]
+        of_loop = part[0][0] == "invariant" and start > 0  # no header, whatever marks stand in it
+        if (part[-1][0] == ":" or block > end + 1) and not of_loop:
+            for head in _heads(part, hole[0], tokens[block], {token[0] for token in tokens}):
+                for tail in (rest, hole, []):
+                    yield [*prefix, *head, *tail], True
+        whole = [_broken(tokens[start:block])]
+        yield [*prefix, *whole], True
+        yield [*prefix, *whole], False
+        for head in _clauses(part, {token[0] for token in tokens}):
+            yield [*head, *whole], False
+        yield [], False
+
+
+def _place(diagnostic: Diagnostic) -> tuple[int, int]:
+    return diagnostic.span.line, diagnostic.span.column
+
+
+def _heads(part: Tokens, hole: Any, after: Any, present: set[str]) -> Iterator[Tokens]:
+    """Headers that may have been meant by one that cannot be read; `after` follows its block."""
+    first = part[0]
+    colon = _mark(":", part[-1])
+    function = first[0] == "def" and any(token[0] in ("(", "->") for token in part)  # as in Python
+    if first[0] in _NAMED and len(part) > 1 and part[1][0] == "NAME" and not function:
+        yield [first, part[1], colon]
+    if first[0] == "else":
+        yield [_mark("elif", first), hole, colon]
+    yield [first, colon]
+    yield [first, hole, colon]
+    loop = first[0] in ("for", "while") or after[0] not in ("elif", "else")
+    for word in ("while", "if") if loop and first[0] not in ("elif", "else") else ("if",):
+        yield [_mark(word, first), hole, colon]
+    yield from _clauses(part, present)
+
+
+def _clauses(part: Tokens, present: set[str]) -> Iterator[Tokens]:
+    """The clauses that an event lacks: a line among its clauses that is none was to be one of them."""
+    for word in ("eff", "pre"):
+        if word not in present:
+            yield [_mark(word, part[0]), _mark(":", part[0])]
+
+
+def _fits(states: States, between: Tokens, token: Any) -> bool:
+    return _advanced(states, [*between, token]) is not None
+
+
+def _follows(states: States, token: Any) -> bool:
+    """Whether the line's end is right: a block follows where one must, and only where one may."""
+    if token[0] in ("INDENT", "DEDENT", "$END"):
+        return _fits(states, [], token)
+    return not _wants_block(states)
+
+
+def _awaits_event(states: States) -> bool:
+    """Return whether the name of an event may follow, and no statement."""
+    return _fits(states, [], ("NAME",)) and not _fits(states, [], ("pass",))
+
+
+def _wants_block(states: States) -> bool:
+    return [symbol for symbol in STATES[states[-1]] if symbol.isupper()] == ["INDENT"]
+
+
+def _advanced(states: States, tokens: Sequence[Any]) -> States | None:
+    """The stack of states behind the tokens; None when they do not fit. `$END` fits where the section is complete."""
+    stack = list(states)
+    for token in tokens:
+        action = ROWS[stack[-1]][token[0]]
+        while action.__class__ is tuple:  # as `run` goes, without the values
+            top, _, after = action
+            if top is None:
+                stack[-1], action = after[stack[-2]]
+            else:
+                del stack[top]
+                state, action = after[stack[-1]]
+                stack.append(state)
+        if action is not None:
+            stack.append(action)
+        elif token[0] != "$END" or STATES[stack[-1]]:
+            return None
+    return stack
+
+
+def _start(tokens: Tokens, position: int) -> int:
+    """Where the line of a token starts; a token that makes the margin belongs to the line before."""
+    while position and tokens[position][0] in ("INDENT", "DEDENT", "$END"):
+        position -= 1
+    while position and tokens[position - 1][0] not in _MARGINS:
+        position -= 1
+    return position
+
+
+def _next_line(tokens: Tokens, position: int) -> int:
+    """Behind the line that starts at `position` and the block below it."""
+    while tokens[position][0] != "NEWLINE":
+        position += 1
+    return _block_end(tokens, position + 1) if tokens[position + 1][0] == "INDENT" else position + 1
+
+
+def _block_end(tokens: Tokens, position: int) -> int:
+    """Behind the DEDENT that closes the block in which `tokens[position]` stands or which it opens."""
+    depth = 0 if tokens[position][0] == "INDENT" else 1
+    while True:
+        depth += {"INDENT": 1, "DEDENT": -1}.get(tokens[position][0], 0)
+        position += 1
+        if depth == 0:
+            return position
+
+
+def _parts(line: Tokens) -> list[Tokens]:
+    """The line cut behind each colon that is neither in brackets nor a quantifier's: headers, and what stands behind
+    them."""
+    parts: list[Tokens] = [[]]
+    depth = quantifiers = 0
+    cut = False
+    for token in line:
+        if cut:
+            parts.append([])
+        parts[-1].append(token)
+        depth += _DEPTH.get(token[0], 0)
+        cut = token[0] == ":" and depth == 0 and quantifiers == 0
+        if depth == 0:
+            quantifiers += (token[0] in ("forall", "exists")) - (token[0] == ":" and quantifiers > 0)
+    return parts
+
+
+def _depth(tokens: Tokens) -> int:
+    return sum(_DEPTH.get(token[0], 0) for token in tokens)
+
+
+def _mark(word: str, place: Any) -> Any:
+    return word, word, place[2], place[3]
+
+
+def _broken(tokens: Tokens) -> Any:
+    """The token for what cannot be read; see `build.broken`."""
+    first = tokens[0]
+    last = [token for token in tokens if token[2] == first[2]][-1]
+    names = [token for token in tokens if token[0] == "NAME"]
+    span = Span(first[2], first[3], first[2], last[3] + len(last[1]))
+    declared = names[1:2] if len(names) > 1 and tokens[0] is names[0] and tokens[1] is names[1] else names[:1]
+    return "BROKEN", declared[0][1] if declared else "", first[2], first[3], _names(tokens), span
+
+
+def _names(tokens: Tokens) -> tuple[str, ...]:
+    """Every name that stands there, once."""
+    known = [name for token in tokens if token[0] == "BROKEN" for name in token[4]]
+    return tuple(dict.fromkeys([token[1] for token in tokens if token[0] == "NAME"] + known))

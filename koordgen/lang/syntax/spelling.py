@@ -1,0 +1,75 @@
+"""Words of the language that were spelt wrongly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.syntax.layout import KEYWORDS, Token
+from koordgen.lang.syntax.spot import Spot, place, shown
+
+_SECTIONS = (
+    "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
+    "init", "priority",
+)  # fmt: skip
+_STATEMENTS = (
+    "if", "elif", "else", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",
+)  # fmt: skip
+_RIGHT = frozenset(("int", "float", "bool", "string", "print", "form", "list", "and", "or", "not", "in", "is"))
+
+
+def misspelt(spot: Spot) -> Diagnostic | None:
+    """A name near a word of the language: the refused one, the one before, the line's first, or the section's."""
+    tokens = spot.tokens
+    last = tokens[spot.position]
+    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(spot.expected & (KEYWORDS | {"requires", "ensures"})))]
+    if spot.before is not None and spot.kind in ("NAME", "not", "forall", "exists"):
+        tries.append((spot.before, ("forall", "exists", "not", "in")))
+    if spot.start < spot.position:
+        tries.append((spot.first, _beginning(spot)))
+    if {"pre", "eff"} & spot.expected:
+        tries.append((tokens[0], _SECTIONS))
+    for token, choices in tries:
+        meant = _near(token[1], choices) if token[0] == "NAME" else ""
+        if meant:
+            message = f"'{shown(token[1])}' is no word of the language"
+            return spot.error(message, f"did you mean '{meant}'?", place(token, token))
+    return None
+
+
+def _beginning(spot: Spot) -> tuple[str, ...]:
+    """The words with which the line may begin."""
+    level, section = spot.level(), spot.tokens[0][0]
+    if level == 0:
+        return _SECTIONS
+    if section == "using":
+        return ("sensors", "actuators", "assume") if level == 1 else ()
+    events = {"NAME": 0, "priority": 1}.get(section)  # the level at which events stand
+    if events is not None and level <= events + 1:
+        return ("pre", "eff") if level == events + 1 else ()
+    return _STATEMENTS if section in ("NAME", "priority", "init", "fun", "def") else ()
+
+
+def _near(word: str, choices: Iterable[str]) -> str:
+    if word in _RIGHT or len(word) > 20:
+        return ""
+    for choice in choices:
+        if word != choice and (word.lower() == choice or _one_slip(word, choice)):
+            return choice
+    return ""
+
+
+def _one_slip(word: str, meant: str) -> bool:
+    """Whether two neighbouring letters are exchanged, or one letter is wrong, missing or too many; short words are
+    near to too many others."""
+    if len(word) == len(meant):
+        wrong = [i for i in range(len(word)) if word[i] != meant[i]]
+        if len(wrong) == 1:
+            return len(word) > 3
+        return len(wrong) == 2 and word[wrong[0]] == meant[wrong[1]] and word[wrong[1]] == meant[wrong[0]]
+    short, long = sorted((word, meant), key=len)
+    return (
+        len(long) - len(short) == 1
+        and len(short) > 2
+        and any(short == long[:i] + long[i + 1 :] for i in range(len(long)))
+    )

@@ -1,0 +1,274 @@
+"""`koordgen basestation`: passes the poses of a motion capture system on to the robots, each its own.
+
+The system speaks through the package `motioncapture` (libmotioncapture), loaded when it is needed; anything with the
+same `connect`, `waitForNextFrame` and `rigidBodies` will do. What goes over the network is runtime/vehicle/feed.py's.
+"""
+
+from __future__ import annotations
+
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from koordgen.fleet.file import Fleet
+from koordgen.fleet.manifest import Target, available, load
+from koordgen.fleet.mocap import Mocap, Quaternion, Vector
+from koordgen.fleet.robots import parse_address
+from koordgen.lang.node import Node
+from koordgen.runtime.net.seal import BadKey, load_key
+from koordgen.runtime.ops.host import pip_install
+from koordgen.runtime.vehicle.datagrams import raw_clock
+
+RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
+TOLD_EVERY = 1.0  # seconds
+SESSION = "basestation.session"  # beside the fleet file: the number of the last run
+LOST = 1.0  # seconds without a pose after which a robot counts as not seen
+_JITTER = 0.25  # of a period by which a frame may come early: else a rate near the cameras' would lose each second one
+_LOOK = 0.2  # seconds between two looks whether to end
+
+Body = tuple[Vector, Quaternion]
+Frame = tuple[float, dict[str, Body]]  # when it came, seconds; the bodies in it, by name
+
+
+class CannotServe(Exception):
+    """Nothing can be passed on; `help` is the way out."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class WrongFiles(CannotServe):
+    """The fleet file or the key cannot be used."""
+
+
+class Receiver(Node):
+    """A robot, and where its poses go."""
+
+    robot: str
+    host: str
+    port: int
+
+
+def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ...]:
+    """The robots that take a feed. Raises WrongFiles."""
+    found = []
+    for robot in fleet.robots:
+        feed = targets[robot.target].feed
+        if feed is None or any(robot.settings.get(key) == value for key, value in feed.unless.items()):
+            continue
+        kind, _, address = str(robot.settings[feed.setting]).partition(":")
+        host, port = parse_address(address)
+        if kind != "udp" or not port:
+            raise WrongFiles(
+                f"{robot.name}: {feed.setting} {robot.settings[feed.setting]!r} is not understood",
+                "write it as udp:HOST:PORT, as in udp:0.0.0.0:47300",
+            )
+        found.append(Receiver(robot.name, robot.host if host == "0.0.0.0" else host, port))
+    if not found:
+        raise WrongFiles("no robot of this fleet takes a position feed", "quads do with `positioning: vision`, say")
+    return tuple(found)
+
+
+class Forwarder:
+    """What goes to whom, without network and clock. `session` is greater than that of any run before."""
+
+    def __init__(
+        self, robots: tuple[str, ...], mocap: Mocap, key: bytes | None, session: int, rate: float, application: int = 0
+    ) -> None:
+        self._mocap, self._key, self._session, self._period = mocap, key, session, 1.0 / rate
+        self._application = application
+        self._sequence = 0
+        self._last: dict[str, Body] = {}
+        self._next = dict.fromkeys(robots, 0.0)
+        self._seen = dict.fromkeys(robots, -LOST)
+        self._sent = dict.fromkeys(robots, 0)
+        self._places: dict[str, Vector] = {}
+        self._foreign: dict[str, float] = {}
+
+    def frame(self, bodies: Mapping[str, Body], measured: float, now: float) -> dict[str, bytes]:
+        """The datagrams that are due, by robot, for a frame that came at `measured`; seconds on one clock. A pose that
+        is the one before to the last bit is no measurement: so systems tell of what they have lost."""
+        due = {}
+        for name, body in bodies.items():
+            if name not in self._next:
+                self._foreign[name] = now
+            elif self._last.get(name) != body:
+                self._last[name] = body
+                pose = self._mocap.pose(*body)
+                if pose is not None:
+                    self._seen[name], self._places[name] = now, pose[0]
+                    if now >= self._next[name] - _JITTER * self._period:
+                        self._next[name] = max(self._next[name] + self._period, now)
+                        due[name] = self._sealed(name, pose, measured, now)
+        return due
+
+    def _sealed(self, name: str, pose: tuple[Vector, float], measured: float, now: float) -> bytes:
+        from koordgen.runtime.values.points import Point, Pose
+        from koordgen.runtime.vehicle.feed import Sample, encode
+
+        self._sequence += 1
+        self._sent[name] += 1
+        place = Pose(Point(*pose[0]), pose[1])
+        sample = Sample(name, self._session, self._sequence, now, place, now - measured, self._application)
+        return encode(sample, self._key)
+
+    def told(self, now: float, seconds: float) -> str:
+        """What was passed on in the last `seconds`, in a line."""
+        words = []
+        for name, sent in self._sent.items():
+            if now - self._seen[name] >= LOST:
+                words.append(f"{name} NOT SEEN")
+            else:
+                x, y, z = self._places[name]
+                words.append(f"{name} {sent / seconds:.0f}/s ({x:.2f}, {y:.2f}, {z:.2f})")
+        self._sent = dict.fromkeys(self._sent, 0)
+        strange = sorted(name for name, at in self._foreign.items() if now - at < LOST)
+        return "  ".join(words) + (f"  not in the fleet: {', '.join(strange)}" if strange else "")
+
+
+class Camera:
+    """Reads frames in a thread of its own: waiting for one cannot be interrupted. `frames` holds the newest, or the
+    error that ended it."""
+
+    def __init__(self, system: Any, clock: Callable[[], float] = raw_clock) -> None:
+        self._system, self._clock = system, clock
+        self._ended = threading.Event()
+        self.frames: queue.Queue[Frame | Exception] = queue.Queue(maxsize=2)
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        while not self._ended.is_set():
+            try:
+                self._system.waitForNextFrame()
+                found: Frame | Exception = (self._clock(), _bodies(self._system.rigidBodies))
+            except Exception as error:  # whatever a system's own library raises
+                found = error
+            if self.frames.full():
+                with suppress(queue.Empty):
+                    self.frames.get_nowait()  # old frames are of no use
+            self.frames.put(found)
+            if isinstance(found, Exception):
+                return
+
+    def end(self) -> bool:
+        """Stop reading; False when the system does not let go."""
+        self._ended.set()
+        self._thread.join(1.0)
+        return not self._thread.is_alive()
+
+
+def _bodies(found: Mapping[str, Any]) -> dict[str, Body]:
+    bodies = {}
+    for name, body in found.items():
+        x, y, z = (float(v) for v in body.position)
+        r = body.rotation
+        bodies[str(name)] = ((x, y, z), (float(r.x), float(r.y), float(r.z), float(r.w)))
+    return bodies
+
+
+def connected(name: str, host: str) -> Any:
+    """A connection to a motion capture system. Raises CannotServe."""
+    try:
+        import motioncapture
+
+        import koordgen.runtime.vehicle.feed  # noqa: F401
+    except ImportError as error:
+        message = f"the Python package {error.name} is missing or does not load: {error}"
+        raise CannotServe(message, pip_install("'koordgen[mocap]'")) from None
+    try:
+        return motioncapture.connect(name, {"hostname": host})
+    except Exception as error:
+        raise CannotServe(
+            f"{name} at {host}: {error}", "is it switched on, does it stream, and is the name of the system right?"
+        ) from None
+
+
+class Station:
+    """A system's camera, and who is told. Raises CannotServe."""
+
+    def __init__(self, system: Any, forwarder: Forwarder, to: tuple[Receiver, ...]) -> None:
+        self._forwarder = forwarder
+        self._addresses = {receiver.robot: _resolved(receiver) for receiver in to}
+        self.camera = Camera(system)
+
+    def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
+        """Pass on for ever; `told` gets a line each second. Raises CannotServe when the system is gone."""
+        said = clock()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)
+            while True:
+                with suppress(queue.Empty):
+                    self._pass_on(sender, self.camera.frames.get(timeout=_LOOK), clock)
+                if (now := clock()) - said >= TOLD_EVERY:
+                    told(self._forwarder.told(now, now - said))
+                    said = now
+
+    def _pass_on(self, sender: socket.socket, found: Frame | Exception, clock: Callable[[], float]) -> None:
+        if isinstance(found, Exception):
+            raise CannotServe(f"the motion capture system is gone: {found}", "start again when it is there")
+        measured, bodies = found
+        for robot, datagram in self._forwarder.frame(bodies, measured, clock()).items():
+            with suppress(OSError):  # a full buffer, or nobody there yet
+                sender.sendto(datagram, self._addresses[robot])
+
+
+def station(
+    fleet: Fleet, path: str, key_path: str | None, name: str, host: str, rate: float, warn: Callable[[str], None]
+) -> Station:
+    """The station of the fleet in the file `path`, with the system called `name` at `host`. Raises CannotServe."""
+    to = receivers(fleet, all_targets())
+    key = keyed(fleet, path, key_path)
+    session = next_session(Path(path).parent / SESSION, time.time_ns() // 1_000_000, warn)
+    robots = tuple(receiver.robot for receiver in to)
+    forwarder = Forwarder(robots, fleet.mocap, key, session, rate, fleet.application_id)
+    return Station(connected(name, host), forwarder, to)
+
+
+def next_session(path: Path, now: int, warn: Callable[[str], None]) -> int:
+    """Return a number greater than that of any run before, which the file at `path` keeps: `now`, milliseconds since
+    1970, unless the clock was ahead before."""
+    try:
+        session = max(now, int(path.read_text()) + 1) if path.exists() else now
+    except (OSError, ValueError):
+        warn(f"warning: {path} cannot be read: agents that run refuse positions if this computer's clock is behind")
+        session = now
+    try:
+        new = path.with_name(f"{path.name}.new")
+        new.write_text(f"{session}\n")
+        new.replace(path)
+    except OSError as error:
+        warn(f"warning: {path}: {error.strerror or error}: after the next start, agents may refuse positions")
+    return session
+
+
+def _resolved(receiver: Receiver) -> tuple[Any, ...]:
+    try:
+        return socket.getaddrinfo(receiver.host, receiver.port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+    except (OSError, UnicodeError) as error:
+        raise CannotServe(
+            f"{receiver.robot}: no address for {receiver.host}: {error}", "see `address` in the fleet file"
+        ) from None
+
+
+def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
+    """The fleet's key: the file named, or beside the fleet file, or here; None for a fleet without. Raises
+    WrongFiles."""
+    if not fleet.key and key_path is None:
+        return None
+    beside = Path(path).parent / fleet.key
+    try:
+        return load_key(Path(key_path) if key_path is not None else beside if beside.exists() else Path(fleet.key))
+    except BadKey as error:
+        raise WrongFiles(str(error), "`--key FILE` names another") from None
+
+
+def all_targets() -> dict[str, Target]:
+    """All targets by name."""
+    return {name: load(name) for name in available()}

@@ -1,0 +1,346 @@
+"""Emergency stop from outside: stop all robots of a fleet at once, and report each robot's answer.
+
+A robot is called every few milliseconds until it answers or time is up. No state of the fleet file keeps a robot from
+being stopped: what can be read of the file is used, then the folders of the last build, and addresses given by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from koordgen.fleet.robots import control_port, parse_address
+from koordgen.lang.node import Node
+from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
+from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
+
+BY_HAND = "stop them by hand, now: remote control, kill switch, or cut their power"
+NO_ANSWER = "no answer"
+PATIENCE = 3.0  # seconds
+STALE_OFFER = 0.3  # seconds after which an unanswered challenge is asked for anew: the agent may have been restarted
+_SHORTEST, _EACH = 0.01, 0.0005  # seconds between two calls of a robot, of a fleet of 20 or less; and for each robot
+
+
+class Place(Node):
+    """Where a robot takes orders; port 0 when the fleet file does not tell."""
+
+    name: str
+    host: str
+    port: int
+
+
+class Called(Node):
+    """What became of one robot's stop. `phase` is the agent's, empty without an answer; `after` in seconds; `note`
+    says why there was none, or what is odd about it."""
+
+    place: Place
+    phase: str
+    after: float
+    note: str
+
+
+class CannotStop(Exception):
+    """Nobody was called at all: the fleet file or the key cannot be used."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class BadAddress(CannotStop):
+    """An address given by hand is not HOST:PORT."""
+
+
+class Fleet(Node):
+    """`key` is the name of the key file, empty for a fleet without a key. `folder` is searched for that file first."""
+
+    places: tuple[Place, ...]
+    application: int
+    key: str
+    folder: Path = Path()
+
+
+def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
+    """Return whom to call: the robots of a fleet file, or of a folder that `build` wrote. Of a fleet file that cannot
+    be read as one, every address in its text is used, and every robot of the last build. Raises CannotStop."""
+    if path.is_dir():
+        return _built(path, CannotStop(f"{path}: no folder of a robot is in it (its settings.json is looked for)"))
+    text = ""
+    try:
+        text = path.read_bytes().decode("utf-8", "replace")
+        fleet = read_fleet(text)
+        return Fleet(fleet.places, fleet.application, fleet.key, path.parent)
+    except OSError as error:
+        trouble = CannotStop(f"{path}: {error.strerror or error}")
+    except CannotStop as error:
+        trouble = CannotStop(f"{path}: {error}")
+    scanned = scan_fleet(text)
+    built = _last_build(path.parent)
+    if built is None and not scanned.places:
+        raise trouble
+    known = {(place.host, place.port) for place in scanned.places}
+    more = tuple([p for p in built[1].places if (p.host, p.port) not in known]) if built else ()
+    sources = ["the addresses in its text"] if scanned.places else []
+    sources += [f"those of the last build, {built[0]}"] if built and more else []
+    warn(f"warning: {trouble}; calling {' and '.join(sources)}")
+    if scanned.places or built is None:
+        return Fleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
+    return Fleet(more, built[1].application, built[1].key, path.parent)
+
+
+def read_fleet(text: str) -> Fleet:
+    """Return what of a fleet file is needed to stop it. Raises CannotStop."""
+    try:
+        top = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise CannotStop(f"not YAML: {' '.join(str(error).split())}") from None
+    top = top if isinstance(top, dict) else {}
+    robots = top.get("robots")
+    if not isinstance(robots, list) or not robots:
+        raise CannotStop("it lists no robots")
+    application, key = top.get("application_id"), top.get("key")
+    return Fleet(
+        tuple(_place(i, robot if isinstance(robot, dict) else {}) for i, robot in enumerate(robots)),
+        application if isinstance(application, int) and 0 <= application <= 65535 else 0,
+        "" if top.get("insecure") is True else key if isinstance(key, str) else "fleet.key",
+    )
+
+
+# The parts of a text that may be one robot's entry begin at a dash or at a brace; comments are not looked at.
+_COMMENT = re.compile(r"(?m)(^|\s)#.*$")
+_ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
+_VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
+
+
+def scan_fleet(text: str) -> Fleet:
+    """Return the robots whose addresses stand in a text, however broken its YAML is: as `read_fleet`, and without any
+    robot where there is no address."""
+    text = _COMMENT.sub("", text)
+    places: list[Place] = []
+    for part in _ENTRY.split(text):
+        entry = {key: value for key in ("name", "address", "control") for value in _values(part, key)}
+        if "address" in entry:
+            control = entry.get("control", "")
+            place = _place(len(places), {**entry, "control": int(control) if control.isdecimal() else None})
+            if place.port:
+                places.append(place)
+    application = next(_values(text, "application_id"), "0")
+    insecure = next(_values(text, "insecure"), "") == "true"
+    return Fleet(
+        tuple(places),
+        int(application) if application.isdecimal() and int(application) <= 65535 else 0,
+        "" if insecure else next(_values(text, "key"), "fleet.key"),
+    )
+
+
+def _values(text: str, key: str) -> Iterator[str]:
+    return (found[1] for found in re.finditer(_VALUE.format(key), text))
+
+
+def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
+    """Return the robots of the application that was built last, in `build` beside the fleet file or here."""
+    built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
+    for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
+        with suppress(CannotStop):
+            return application, _built(application, CannotStop(""))
+    return None
+
+
+def _folders(place: Path) -> list[Path]:
+    with suppress(OSError):
+        return [each for each in place.iterdir() if each.is_dir()]
+    return []
+
+
+def _built(folder: Path, nobody: CannotStop) -> Fleet:
+    """Return the robots whose folders `build` wrote into one folder, or the robot of one such folder; raises `nobody`
+    where there is none."""
+    places, application, key = [], 0, ""
+    harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
+    for each in sorted([folder, *_folders(folder), *_folders(folder / "robots"), *harness]):
+        with suppress(OSError, ValueError, TypeError, KeyError, IndexError):
+            settings = json.loads((each / "settings.json").read_bytes())
+            peer = settings["peers"][settings["pid"]]
+            places.append(Place(str(settings["robot"]), str(peer["host"]), int(settings["control"])))
+            application = int(settings["application_id"])
+            key = "" if settings["insecure"] is True else str(settings["key_file"])
+    if not places:
+        raise nobody
+    return Fleet(tuple(places), application, key, folder)
+
+
+def _place(pid: int, robot: dict[str, Any]) -> Place:
+    host, port = parse_address(str(robot.get("address", "")))
+    control = robot.get("control")
+    if port:
+        port = control if isinstance(control, int) and 0 < control <= 65535 else control_port(port)
+    return Place(str(robot.get("name", f"robot {pid}")), host, port)
+
+
+def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callable[[str], None]) -> bytes | None:
+    """The key in `key_path`, else the one beside the fleet file `path`, else in the working directory; None for a fleet
+    without one. Raises CannotStop."""
+    if not key_path and not fleet.key:
+        return None
+    beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
+    usual = next((place for place in beside if place.exists()), Path(fleet.key))
+    return read_key(Path(key_path) if key_path else usual, warn)
+
+
+def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
+    """The fleet's key. One that is not kept well is warned of, but is no reason not to stop. Raises CannotStop."""
+    try:
+        return load_key(path)
+    except BadKey as error:
+        with suppress(OSError):
+            key = path.read_bytes()
+            if len(key) == KEY_SIZE:
+                warn(f"warning: {error}")
+                return key
+        raise CannotStop(str(error), "`--key FILE` names another; ") from None
+
+
+class Stopping:
+    """One robot's stop, seen from us: send `datagram` until `phase` is there; `take` what comes."""
+
+    def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
+        self.phase = ""
+        self.robot = ""
+        self._application = application
+        self._key = key
+        self._nonce = nonce
+        self._offer: Offer | None = None
+        self._offered = 0.0
+
+    def datagram(self, now: float) -> bytes:
+        if self._offer is None or now - self._offered > STALE_OFFER:
+            return encode(Ask(self._application, self._nonce), self._key)
+        return encode(Stop(self._nonce, self._offer.challenge), self._key)
+
+    def take(self, datagram: bytes, now: float) -> bool:
+        """Whether it brings us further, so that the next `datagram` should go out at once."""
+        match decode(datagram, self._key):
+            case Offer(nonce) as offer if nonce == self._nonce:
+                further = self._offer is None or now - self._offered > STALE_OFFER
+                if further:
+                    self._offer, self._offered, self.robot = offer, now, offer.robot
+                return further
+            case Stopped(nonce, _, phase) if nonce == self._nonce:
+                self.phase = phase or "resting"
+                return True
+        return False
+
+
+def stop_fleet(
+    path: str | None, key_path: str | None, warn: Callable[[str], None], by_hand: Sequence[str] = (),
+    application: int | None = None,
+) -> list[Called]:  # fmt: skip
+    """Stop the robots of a fleet file (or of a folder that `build` wrote) and those at addresses given `by_hand`, as
+    HOST:PORT of the fleet file; at least one of both is given. `application` overrides the file's application_id.
+    Raises CannotStop."""
+    places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
+    if wrong := [place.name for place in places if not place.port]:
+        raise BadAddress(f"--address {wrong[0]}: not HOST:PORT")
+    fleet = Fleet((), 0, "fleet.key")
+    if path is not None:
+        try:
+            fleet = find_fleet(Path(path), warn)
+        except CannotStop as error:
+            if not places:
+                raise
+            warn(f"warning: {error}; calling only those that --address names")
+    known = {(place.host, place.port) for place in places}
+    places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
+    key = find_key(fleet, path, key_path, warn)
+    return stop_all(places, fleet.application if application is None else application, key, PATIENCE)
+
+
+def show(results: list[Called], form: str) -> str:
+    """What became of each robot, for people or as one JSON document."""
+    if form == "json":
+        robots = [
+            {
+                "robot": r.place.name,
+                "address": f"{r.place.host}:{r.place.port}",
+                "answered": bool(r.phase),
+                "phase": r.phase or None,
+                "after_ms": round(r.after * 1e3, 1) if r.phase else None,
+                "note": r.note,
+            }
+            for r in results
+        ]
+        return json.dumps({"robots": robots}, indent=2)
+    width = max(len(r.place.name) for r in results)
+    return "\n".join(f"{r.place.name:<{width}}  {_told(r)}" for r in results)
+
+
+def _told(result: Called) -> str:
+    if not result.phase:
+        return f"{result.note.replace(NO_ANSWER, NO_ANSWER.upper())} ({result.place.host}:{result.place.port})"
+    did = "is at rest" if result.phase == "rested" else "is coming to rest: it lands or brakes"
+    return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
+
+
+def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float) -> list[Called]:
+    """Stop all robots at once; a name that takes long to be looked up keeps nobody else waiting."""
+    results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
+    every = max(_SHORTEST, _EACH * len(fleet))
+    began = time.monotonic()
+
+    def call(index: int) -> None:
+        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, patience)
+
+    threads = [threading.Thread(target=call, args=(i,), daemon=True) for i in range(len(fleet))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+    return results
+
+
+def _stop(place: Place, stopping: Stopping, every: float, began: float, patience: float) -> Called:
+    if not place.port:
+        return Called(place, "", 0.0, "the fleet file has no address for it")
+    try:
+        found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        return Called(place, "", 0.0, f"no address: {error}")
+    note = NO_ANSWER
+    with socket.socket(found[0], socket.SOCK_DGRAM) as caller:
+        with suppress(OSError):
+            caller.connect(found[4])
+        while not stopping.phase and (now := time.monotonic()) < began + patience:
+            try:
+                caller.send(stopping.datagram(now))
+                _listen(caller, stopping, now + every)
+            except TimeoutError:
+                continue
+            except ConnectionRefusedError:
+                note = f"{NO_ANSWER}: no agent runs there"
+                time.sleep(every)
+            except OSError as error:
+                note = f"{NO_ANSWER}: {error.strerror or error}"
+                time.sleep(every)
+    after = time.monotonic() - began
+    if not stopping.phase:
+        return Called(place, "", after, note)
+    odd = f"it says that it is {stopping.robot}" if stopping.robot not in ("", place.name) else ""
+    return Called(place, stopping.phase, after, odd)
+
+
+def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
+    """Until something brings us further or it is time to call again."""
+    while (left := until - time.monotonic()) > 0:
+        caller.settimeout(left)
+        if stopping.take(caller.recv(SHORT + 1), time.monotonic()):
+            return

@@ -1,0 +1,56 @@
+"""Which assumption of a proof broke before an invariant did. No solver is asked: an invariant's obligations tell what a
+proof of it would take for granted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from koordgen.lang.ir import decl
+from koordgen.verify.audit.finding import Finding
+from koordgen.verify.prove.obligations.generate import obligations
+from koordgen.verify.prove.report.ledger import Entry, Ledger
+
+_KINDS = {"port assumption": "assume", "initially": "initially", "contract": "contract"}
+
+
+@dataclass(frozen=True, slots=True)
+class Blame:
+    """Of an invariant that was violated: what its proof rests on; of that what broke at or before then, the first to
+    break first; and what was not seen throughout, so that it may have broken."""
+
+    invariant: Finding
+    rests: tuple[Entry, ...]
+    broke: tuple[tuple[Entry, Finding], ...]
+    unseen: tuple[Entry, ...]
+
+
+def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
+    """One for each invariant that was violated, or had no value."""
+    violated = [f for f in findings if f.of == "invariant" and f.first is not None]
+    if not violated:
+        return []
+    shown = obligations(program, params={p.name: p.default for p in program.params})
+    spans = {p.name: range(p.span.line, p.span.end_line + 1) for p in program.properties if p.kind == "invariant"}
+    found, ledger = [], Ledger(program)
+    for invariant in violated:
+        names = [invariant.name]
+        for name in names:  # and the invariants that its obligations use, and theirs
+            lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
+            names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
+        rests = ledger.of([o for o in shown if o.invariant in names])
+        found.append(_blame(invariant, rests, findings))
+    return found
+
+
+def _blame(invariant: Finding, rests: tuple[Entry, ...], findings: Sequence[Finding]) -> Blame:
+    assert invariant.first is not None
+    broke, unseen = [], []
+    for entry in rests:
+        finding = next((f for f in findings if f.line == entry.line and f.of == _KINDS.get(entry.kind)), None)
+        if finding is not None and finding.first is not None and finding.first.moment <= invariant.first.moment:
+            broke.append((entry, finding))
+        elif entry.kind == "axiom" or (finding is not None and (finding.unknown or not finding.rounds)):
+            unseen.append(entry)
+    broke.sort(key=lambda each: each[1].first.moment if each[1].first is not None else invariant.first.moment)  # type: ignore[union-attr]
+    return Blame(invariant, rests, tuple(broke), tuple(unseen))

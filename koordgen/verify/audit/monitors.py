@@ -1,0 +1,83 @@
+"""What robots' own monitors said, beside what the whole fleet's traces show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from koordgen.verify.audit.finding import Finding
+from koordgen.verify.audit.story import FOREVER, Mission, Story
+
+SLACK = 2  # rounds by which a robot may say it later than it was
+_BAD = ("violated", "no value")
+
+
+def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
+    """Notes of what robots said and the whole does not show, and of the reverse."""
+    notes: list[str] = []
+    for finding in findings:
+        said = {story.pid: _said(finding, story) for story in mission.stories}
+        told = {pid: spans for pid, spans in said.items() if spans}
+        if finding.spans and told:
+            notes += [note for pid, spans in told.items() for note in _alone(finding, mission.stories[pid], spans)][:3]
+            notes += _unsaid(finding, told, mission)
+    return notes
+
+
+def _said(finding: Finding, story: Story) -> list[tuple[int, int, Mapping[str, Any]]]:
+    """From which round to before which a robot said what of a property."""
+    mine = [r for r in story.monitors if _of(r) == finding.of and _line(r) == finding.line]
+    mine.sort(key=lambda r: int(r["round"]))
+    ends = [*[int(r["round"]) for r in mine[1:]], FOREVER]
+    return [(int(r["round"]), end, r) for r, end in zip(mine, ends, strict=False)]
+
+
+def _of(record: Mapping[str, Any]) -> str:
+    of = str(record.get("of", ""))
+    return "contract" if of in ("requires", "ensures") else of
+
+
+def _line(record: Mapping[str, Any]) -> int:
+    text = str(record.get("line", "")).rpartition(":")[2]
+    return int(text) if text.isdecimal() and len(text) < 10 else -1
+
+
+def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:
+    """What this robot took for a violation, and was none."""
+    for since, until, record in spans:
+        if record.get("outcome") not in _BAD:
+            continue
+        first = max(0, since - 1 - int(record.get("age", 0)))
+        last = min(until, finding.spans[-1].until)
+        if all(finding.at(round_) == "held" for round_ in range(first, max(first, last) + 1)):
+            yield (
+                f"{story.name} said in round {since} that {finding.title} (line {finding.line}) is "
+                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; on the whole it held"
+            )
+
+
+def _unsaid(
+    finding: Finding, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: Mission
+) -> Iterator[str]:
+    """A violation that no monitor noticed."""
+    bad = next((span for span in finding.spans if span.outcome in _BAD), None)
+    if bad is None:
+        return
+    window = range(bad.since - 1, bad.until + SLACK + 1)
+    here = [
+        (pid, record)
+        for pid, spans in told.items()
+        for since, until, record in spans
+        if since <= window[-1] and until > window[0]
+    ]
+    if any(record.get("outcome") in _BAD for _, record in here):
+        return
+    rounds = f"rounds {bad.since} to {bad.until}"
+    for pid, record in here:
+        if record.get("outcome") == "held":
+            yield (
+                f"{mission.stories[pid].name} said that {finding.title} (line {finding.line}) held in {rounds}; "
+                "on the whole it was violated"
+            )
+            return
+    yield f"no monitor could tell that {finding.title} (line {finding.line}) was violated in {rounds}"

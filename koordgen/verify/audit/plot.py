@@ -1,0 +1,42 @@
+"""A picture of an audit: each property over time, and where it was violated or not known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from koordgen.verify.audit.finding import Outcome
+from koordgen.verify.audit.show import Audit
+
+COLOURS: dict[Outcome, str] = {"held": "#2a7f3f", "violated": "#c0392b", "no value": "#8e44ad", "unknown": "#bdc3c7"}
+
+
+def draw(audit: Audit, path: Path) -> None:
+    """The file's ending says how. Raises OSError."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    mission = audit.mission
+    rows = [finding for finding in audit.findings if finding.spans]
+    figure = Figure(figsize=(10, 1.6 + 0.4 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for place, finding in enumerate(rows):
+        for outcome, colour in COLOURS.items():
+            bars = [
+                ((span.since - 1) * mission.delta, (span.until - span.since + 1) * mission.delta)
+                for span in finding.spans
+                if span.outcome == outcome
+            ]
+            axes.broken_barh(bars, (place - 0.35, 0.7), color=colour)
+        if finding.first is not None:
+            axes.plot([finding.first.moment.seconds(mission.delta)], [place], "kx")
+    titles = [f"{finding.title}"[:40] for finding in rows]
+    axes.set_yticks(range(len(rows)), titles)
+    axes.invert_yaxis()
+    axes.set_xlabel("s since round 1")
+    axes.grid(axis="x", alpha=0.3)
+    axes.set_title(f"{audit.program}: {mission.last} rounds; x: first violation")
+    figure.legend(
+        handles=[Patch(color=colour, label=outcome) for outcome, colour in COLOURS.items()],
+        loc="outside lower center", ncols=len(COLOURS),
+    )  # fmt: skip
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,170 @@
+"""Files of a fleet's traces, format koord-trace/1, as much of them as can be read.
+
+A record that cannot be read is passed over, and stands in its place as one of kind LOST: from there on something about
+a robot is not known. Only a file that is no trace at all is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from koordgen.runtime.trace.parts import base_of
+from koordgen.verify.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
+from koordgen.verify.replay.trace import FORMAT, LONGEST, BadTrace, Line, header_of, parts_of
+
+LOST = "lost"
+LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")
+HEADER = b'{"kind":"header"'
+
+
+@dataclass(frozen=True, slots=True)
+class Flaw:
+    """What is wrong at a line of a file; with `cut` the file ends there amid a record."""
+
+    number: int
+    what: str
+    cut: bool = False
+
+
+@dataclass
+class Log:
+    """One file. `names` are the robots that its header says, by pid; `own`: it is one robot's. Lines have pid -1 where
+    it is not known whose they are. `family`: the same for all files that one robot wrote beside one another; `age`
+    orders those, the oldest first."""
+
+    path: Path
+    app: str
+    program_hash: str
+    delta: float
+    n_sys: int
+    names: dict[int, str]
+    own: bool
+    family: tuple[Path, int]
+    age: float
+    last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
+    step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
+    lines: list[Line] = field(default_factory=list)
+    flaws: list[Flaw] = field(default_factory=list)
+
+    @property
+    def cut(self) -> bool:
+        return any(flaw.cut for flaw in self.flaws)
+
+
+def found(given: Path) -> list[Path]:
+    """The traces that a name stands for: a file with the parts before it, the merged trace in a run's folder, or else
+    all traces below a folder. Raises BadTrace."""
+    if not given.is_dir():
+        return parts_of(given)
+    merged = given / "trace.jsonl"
+    if merged.is_file():
+        header = _header(merged)
+        if header is not None and "robots" in header:
+            return [merged]
+    below = [path for path in sorted(given.rglob("*.jsonl")) if path.is_file() and _header(path) is not None]
+    if not below:
+        raise BadTrace(f"{given}: no file *.jsonl in it is a trace of format {FORMAT}")
+    return below
+
+
+def _header(path: Path) -> Mapping[str, Any] | None:
+    """The header of a trace; None where there is none."""
+    try:
+        return header_of(path)
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+
+
+def opened(path: Path) -> Log:
+    """All of a file. Raises BadTrace where it is none."""
+    header = _header(path)
+    if header is None:
+        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    try:
+        log = _log(path, header)
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise BadTrace(f"{path}:1: a broken header: {error!r}") from None
+    try:
+        with path.open("rb") as file:
+            for number, data in _lines(file):
+                _take(log, number, data)
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    return log
+
+
+def _log(path: Path, header: Mapping[str, Any]) -> Log:
+    if "counterexample" in header or not header["program_hash"]:
+        raise BadTrace(f"{path}: a counterexample, which no robot ran: `koordgen report` shows it")
+    app, program_hash, delta = str(header["app"]), str(header["program_hash"]), float(header["delta"])
+    if not 0.0 < delta < 1e6:
+        raise ValueError(f"delta {delta}")
+    if own := "robots" not in header:
+        n_sys, names = int(header["n_sys"]), {int(header["pid"]): str(header["robot"])}
+    else:
+        names = {int(robot["pid"]): str(robot["name"]) for robot in header["robots"]}
+        n_sys = len(names)
+    if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
+        raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
+    base, part = base_of(path)
+    family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
+    return Log(path, app, program_hash, delta, n_sys, names, own, family, age, step=header.get("followed") == "step")
+
+
+def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Each line with its number; of one that is too long only the beginning, without its end."""
+    number = 0
+    while data := file.readline(LONGEST):
+        number += 1
+        yield number, data
+        while len(data) == LONGEST and not data.endswith(b"\n"):
+            data = file.readline(LONGEST)
+
+
+def _take(log: Log, number: int, data: bytes) -> None:
+    pid = next(iter(log.names)) if log.own else -1
+    record = _parsed(data)
+    if record is None:
+        again = data.rfind(HEADER)  # a robot that was killed amid a record, and began anew
+        if again > 0 and _parsed(data[again:]) is not None:
+            _lose(log, number, pid, "is cut off where the robot began anew")
+            _take(log, number, data[again:])
+        elif len(data) >= LONGEST:
+            _lose(log, number, pid, f"is longer than {LONGEST >> 20} MB")
+        elif not data.endswith(b"\n"):
+            _lose(log, number, pid, "the trace is cut off here", cut=True)
+        elif data.strip():
+            _lose(log, number, pid, "is no record")
+        return
+    if not log.own and isinstance(record.get("pid"), int) and 0 <= record["pid"] < log.n_sys:
+        pid = record["pid"]
+    kind = record.get("kind")
+    if kind not in LOOKED_AT:
+        return
+    flaw = flaw_of(record)
+    if flaw or (pid < 0 and kind != "header"):
+        _lose(log, number, pid, flaw or f"a broken record of kind {kind}")
+    elif kind == "round" and record["round"] > log.last.setdefault(pid, record["round"]) + MOST_JUMP:
+        _lose(log, number, pid, f"round {record['round']} does not come after round {log.last[pid]}")
+    else:
+        if kind == "round":
+            log.last[pid] = record["round"]
+        log.lines.append(Line(number, pid, record))
+
+
+def _lose(log: Log, number: int, pid: int, what: str, cut: bool = False) -> None:
+    log.flaws.append(Flaw(number, what, cut))
+    log.lines.append(Line(number, pid, {"kind": LOST}))
+
+
+def _parsed(data: bytes) -> dict[str, Any] | None:
+    try:
+        record = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None

@@ -1,0 +1,259 @@
+"""What an audit has found, as people read it, at most 100 columns wide, and as data."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from koordgen.verify.audit.blame import Blame
+from koordgen.verify.audit.finding import BEGIN, Finding, Violation
+from koordgen.verify.audit.story import Mission
+from koordgen.verify.prove.report.show import wrapped
+
+WIDTH = 100
+MOST_MISSING = 3
+MOST_NOTES = 12
+PROVED = "PROVED"
+
+
+@dataclass(frozen=True, slots=True)
+class Audit:
+    """`proved`: what `koordgen prove` says of each invariant, by its name; None where it was not asked.
+    `ended`: before the end of the mission, by a limit of time."""
+
+    program: str  # the program's file
+    mission: Mission
+    findings: Sequence[Finding]
+    blames: Sequence[Blame]
+    notes: Sequence[str]
+    proved: Mapping[str, str] | None = None
+    ended: bool = False
+
+    @property
+    def violated(self) -> bool:
+        return any(f.first is not None for f in self.findings)
+
+    @property
+    def doubtful(self) -> bool:
+        """Nothing of it may be said of the whole mission: something was never known, or traces are not whole."""
+        return (
+            self.ended
+            or self.mission.cut
+            or any(f.verdict in ("unknown", "unchecked") for f in self.findings if f.of != "axiom")
+        )
+
+
+def report(audit: Audit) -> str:
+    mission = audit.mission
+    robots = sum(bool(story.lives) for story in mission.stories)
+    rounds = f"{mission.last} round{'s' * (mission.last != 1)}"
+    if mission.first:
+        rounds += f", unknown before round {mission.first}"
+    lines = [f"{audit.program}, {robots} of {len(mission.stories)} robots, {rounds}", ""]
+    lines += _table(audit.findings)
+    for finding in audit.findings:
+        lines += _details(finding, audit)
+    if audit.notes:
+        lines += ["", "notes:"]
+        told = [
+            *audit.notes[:MOST_NOTES],
+            *([f"and {len(audit.notes) - MOST_NOTES} more"] * (len(audit.notes) > MOST_NOTES)),
+        ]
+        for note in told:
+            lines += textwrap.wrap(note, WIDTH, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False)
+    return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+
+
+def _table(findings: Sequence[Finding]) -> Iterator[str]:
+    rows = [("verdict", "property", "line", "rounds", "violated", "unknown")]
+    rows += [
+        (f.verdict, f.title, str(f.line or ""), str(f.rounds), str(f.violated or ""), str(f.unknown or ""))
+        for f in findings
+    ]
+    widths = [min(46, max(len(row[k]) for row in rows)) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            text if len(text) <= width else f"{text[: width - 3]}..." for text, width in zip(row, widths, strict=True)
+        ]
+        left = [cell.ljust(width) for cell, width in zip(cells[:2], widths[:2], strict=True)]
+        right = [cell.rjust(width) for cell, width in zip(cells[2:], widths[2:], strict=True)]
+        yield "  ".join([*left, *right])
+
+
+def _details(finding: Finding, audit: Audit) -> Iterator[str]:
+    if finding.first is not None:
+        yield ""
+        yield from _violation(finding, finding.first, audit)
+        for blame in audit.blames:
+            if blame.invariant is finding:
+                yield from [""] if finding.first.rows else []
+                yield from wrapped(sentence(blame, audit))
+    if finding.unchecked and finding.verdict == "unchecked":
+        yield from ("", *wrapped(f"{finding.title}: {finding.unchecked}"))
+    if finding.unknown:
+        yield from ("", f"{finding.title}, unknown in {finding.unknown} round{'s' * (finding.unknown != 1)}:")
+        missing = sorted(finding.missing.items(), key=lambda each: -each[1])
+        for text, count in missing[:MOST_MISSING]:
+            yield from wrapped(f"{text} ({count})")
+        if len(missing) > MOST_MISSING:
+            yield f"  and {len(missing) - MOST_MISSING} more reasons"
+
+
+def when(violation: Violation, mission: Mission) -> str:
+    """A violation's time in words."""
+    seconds = violation.moment.seconds(mission.delta)
+    round_ = violation.moment.round
+    if round_ == 0:
+        return (
+            "as round 1 begins"
+            if violation.moment.end
+            else violation.where
+            if violation.where == BEGIN
+            else "after init"
+        )
+    fleet = f", {mission.start + seconds:.2f} s of fleet time" if mission.start is not None else ""
+    return f"{seconds:.2f} s, round {round_} {violation.where}{fleet}"
+
+
+def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str]:
+    verb = "has no value" if finding.verdict == "no value" else "is violated"
+    place = f" ({audit.program}:{finding.line})" if finding.line else ""
+    robots = f", {', '.join(first.robots)}" if first.robots else ""
+    yield f"{finding.title} {verb}{place}"
+    yield from wrapped(f"{when(first, audit.mission)}{robots}")
+    reason = "; ".join(filter(None, (", ".join(first.bound), "; ".join(first.read), first.why)))
+    if reason:
+        yield from wrapped(reason)
+    if first.rows:
+        yield ""
+        yield from _rows(first)
+
+
+def _rows(violation: Violation) -> Iterator[str]:
+    rows = [("robot", "variable", "before", "after")]
+    last = ""
+    for robot, variable, before, after in violation.rows:
+        rows.append(("" if robot == last else robot, variable, before, f"{after} *" if before != after else ""))
+        last = robot
+    widths = [min(34, max(len(row[k]) for row in rows)) for k in range(4)]
+    for row in rows:
+        parts = [textwrap.wrap(text, width) or [""] for text, width in zip(row, widths, strict=True)]
+        for k in range(max(map(len, parts))):
+            cells = [(part[k] if k < len(part) else "").ljust(width) for part, width in zip(parts, widths, strict=True)]
+            yield "  " + "  ".join(cells).rstrip()
+
+
+def sentence(blame: Blame, audit: Audit) -> str:
+    """What a proof of the invariant has to do with its violation."""
+    name = blame.invariant.name
+    said = None if audit.proved is None else audit.proved.get(name, "nothing")
+    gone = _gone(blame, audit.mission)
+    if blame.broke:
+        told = [_broke(finding, audit.mission) for _, finding in blame.broke]
+        verb = "rests" if said == PROVED else "would rest"
+        return f"the proof of {name} {verb} on {'; and on '.join(told)}{gone}"
+    seen = f"no assumption that its proof rests on broke before{gone}"
+    if blame.unseen:
+        texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
+        seen = f"no assumption that its proof rests on was seen to break before, but not all was seen: {texts}{gone}"
+    bug = (
+        "this is a bug of koordgen, or robots did something that no proof speaks of (`koordgen replay` compares what "
+        "they did with the program): please report it, with these traces"
+    )
+    if said is None:
+        return f"{seen}. Where `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
+    if said != PROVED:
+        return f"`koordgen prove` says {said} of {name} with these params: no proof says that it holds"
+    return f"{name} is PROVED, and {seen}: {bug}"
+
+
+def _gone(blame: Blame, mission: Mission) -> str:
+    """Who had left the model by then, or told nothing for a while: of what its body does a proof says nothing."""
+    first = blame.invariant.first
+    assert first is not None
+    names = [
+        story.name
+        for story in mission.stories
+        if any(gap.since <= first.moment.round for gap in (*story.out, *story.away, *story.quiet))
+    ]
+    return f"; by then {', '.join(names)} had been out of the model, of which no proof speaks" if names else ""
+
+
+def _broke(finding: Finding, mission: Mission) -> str:
+    first = finding.first
+    assert first is not None
+    robots = f" by robot {', '.join(first.robots)}" if first.robots else ""
+    return f"`{finding.title}` (line {finding.line}), which broke at {when(first, mission)}{robots}"
+
+
+def document(audit: Audit, status: int) -> dict[str, Any]:
+    mission = audit.mission
+    return {
+        "program": audit.program,
+        "mission": mission.name or None,
+        "delta": mission.delta,
+        "first": mission.first,
+        "rounds": mission.last,
+        "status": status,
+        "robots": [
+            {
+                "name": story.name,
+                "pid": story.pid,
+                "files": list(dict.fromkeys(str(life.log.path) for life in story.lives)),
+                "lives": len(story.lives[:1]) + sum(not life.continues for life in story.lives[1:]),
+                "last": story.last,
+            }
+            for story in mission.stories
+        ],
+        "properties": [_property(finding, audit) for finding in audit.findings],
+        "notes": list(audit.notes),
+    }
+
+
+def _property(finding: Finding, audit: Audit) -> dict[str, Any]:
+    blame = next((b for b in audit.blames if b.invariant is finding), None)
+    return {
+        "of": finding.of,
+        "name": finding.name,
+        "line": finding.line,
+        "verdict": finding.verdict,
+        "rounds": finding.rounds,
+        "violated": finding.violated,
+        "unknown": finding.unknown,
+        "unchecked": finding.unchecked or None,
+        "missing": finding.missing,
+        "spans": [span._asdict() for span in finding.spans],
+        "first": _first(finding.first, audit.mission) if finding.first is not None else None,
+        "proof": _proof(blame, audit) if blame is not None else None,
+    }
+
+
+def _first(first: Violation, mission: Mission) -> dict[str, Any]:
+    seconds = first.moment.seconds(mission.delta)
+    return {
+        "round": first.moment.round,
+        "at_end": first.moment.end,
+        "seconds": seconds,
+        "fleet_time": None if mission.start is None else mission.start + seconds,
+        "robots": list(first.robots),
+        "bound": list(first.bound),
+        "read": list(first.read),
+        "why": first.why or None,
+        "rows": [row._asdict() for row in first.rows],
+    }
+
+
+def _proof(blame: Blame, audit: Audit) -> dict[str, Any]:
+    return {
+        "verdict": None if audit.proved is None else audit.proved.get(blame.invariant.name),
+        "says": sentence(blame, audit),
+        "broke": [
+            {"of": f.of, "name": f.name, "line": f.line, "round": f.first.moment.round, "robots": list(f.first.robots)}
+            for _, f in blame.broke
+            if f.first is not None
+        ],
+        "unseen": [entry.line for entry in blame.unseen],
+        "rests_on": [entry._asdict() for entry in blame.rests],
+    }

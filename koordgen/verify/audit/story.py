@@ -1,0 +1,398 @@
+"""What each robot of a fleet told of one mission, round by round, and where nobody knows what it did."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from koordgen.runtime.program.skips import LEFT
+from koordgen.verify.audit.reading import LOST, Log
+from koordgen.verify.replay.trace import BadTrace, Line
+
+FOREVER = 1 << 60
+# As an agent says it when its rounds begin.
+_MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
+
+
+class Gap(NamedTuple):
+    """Rounds `since` to before `until` of which a robot told nothing, and why."""
+
+    since: int
+    until: int
+    why: str
+
+
+def _why(gaps: Sequence[Gap], round_: int) -> str | None:
+    return next((gap.why for gap in gaps if gap.since <= round_ < gap.until), None)
+
+
+@dataclass
+class Life:
+    """One start of a robot's process: what it told, in the order in which it did."""
+
+    log: Log
+    pid: int
+    mission: str = ""
+    start: float | None = None  # fleet time of round 1, s
+    lines: list[Line] = field(default_factory=list)
+
+    @property
+    def continues(self) -> bool:
+        """Return whether this is a later part of the trace of one start."""
+        return bool(self.lines and self.lines[0].record.get("part"))
+
+    @property
+    def tells(self) -> bool:
+        """Return whether the trace has a record of this round."""
+        return any(line.record["kind"] == "round" for line in self.lines)
+
+
+@dataclass
+class Story:
+    """One robot in the mission. `lives` is empty where there is no trace of it. `turns`: at the start of a round its
+    own variables become these (with `locals` and `actuators`), or nobody knows them (None). `acts`: rounds in which it
+    may have written what it told nobody. `out`: rounds in which it had come to rest; `away`: in which the others had
+    counted it out: in both it is out of the model. `lacks`: parts of its trace are missing; `since`: then the first
+    round that is known."""
+
+    pid: int
+    name: str
+    lives: list[Life] = field(default_factory=list)
+    lacks: bool = False
+    since: int = 0
+    init: Mapping[str, Any] | None = None
+    rounds: dict[int, Line] = field(default_factory=dict)
+    turns: dict[int, Mapping[str, Any] | None] = field(default_factory=dict)
+    acts: list[Gap] = field(default_factory=list)
+    out: list[Gap] = field(default_factory=list)
+    away: list[Gap] = field(default_factory=list)
+    quiet: list[Gap] = field(default_factory=list)  # of which another life, or a broken line, is the reason
+    monitors: list[Mapping[str, Any]] = field(default_factory=list)
+
+    @property
+    def last(self) -> int:
+        """The last round that it told of; -1 of none."""
+        return max(self.rounds, default=0 if self.init is not None else -1)
+
+    def may_act(self, round_: int) -> bool:
+        """Whether it may have written in a round, as far as it told; what others do not count is no writing."""
+        return _why(self.acts, round_) is not None and _why(self.away, round_) is None
+
+    def out_at(self, round_: int) -> str:
+        """Why the robot is out of the model in a round; empty while it is in it."""
+        return _why(self.out, round_) or _why(self.away, round_) or ""
+
+    def silent(self, round_: int) -> str:
+        """Why its own part of a round is not known, in words."""
+        if not self.lives:
+            return f"there is no trace of {self.name}"
+        if self.out_at(round_):
+            return f"{self.name} had left the model ({self.out_at(round_)})"
+        why = _why(self.acts, round_) or _why(self.quiet, round_)
+        if why or round_ not in self.rounds:
+            return f"{self.name} told nothing" + (f": {why}" if why else "")
+        return f"{self.name}'s trace does not say it"
+
+
+@dataclass
+class Mission:
+    """All of it. `notes` are for the user."""
+
+    name: str
+    app: str
+    delta: float
+    start: float | None
+    stories: list[Story]
+    notes: list[str]
+    cut: bool
+    log: Log  # of the version of the program that all others are of
+    step: bool = False  # as of a Log
+
+    @property
+    def first(self) -> int:
+        """First round that a trace records. 0: everything is recorded, from `init` on."""
+        return min((story.since for story in self.stories if story.lives), default=0)
+
+    @property
+    def last(self) -> int:
+        """The last round to look at: then the last robot had left the model, or said nothing more."""
+        return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.stories), default=0)
+
+
+def mission(logs: Sequence[Log]) -> Mission:
+    """The one mission that the files tell of. Raises BadTrace."""
+    logs, old = _of_one_version(_by_age(logs))
+    _same(logs)
+    lives = _joined([life for log in logs for life in _lives(log)])
+    names: dict[int, str] = {}
+    for log in logs:
+        for pid, name in log.names.items():
+            if names.setdefault(pid, name) != name:
+                other = next(each.path for each in logs if each.names.get(pid) == names[pid])
+                raise BadTrace(f"{log.path}: robot {pid} is {name}; in {other} it is {names[pid]}")
+    chosen = _chosen(lives)
+    notes = [f"{log.path} is of an earlier version of the program, and is left aside" for log in old]
+    notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
+    notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
+    left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
+    notes += [
+        f"{path}: {names[pid]}'s part in mission {mission_} is left aside" for (pid, mission_), path in left.items()
+    ]
+    stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
+    for life in lives:
+        if life.mission in (chosen, ""):
+            stories[life.pid].lives.append(life)
+    for story in stories:
+        _tell(story)
+    _views(stories)
+    notes[:0] = [
+        f"{story.name}'s trace is known from round {story.since} on: the older parts are not there (a robot deletes "
+        "them when its trace reaches trace_limit)"
+        for story in stories
+        if story.since
+    ]
+    missing = [story.name for story in stories if not story.lives]
+    if missing:
+        notes.insert(0, f"there is no trace of {', '.join(missing)}")
+    starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
+    cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
+    start, log = starts[0] if starts else None, logs[0]
+    return Mission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
+
+
+def _by_age(logs: Sequence[Log]) -> list[Log]:
+    """Return the files of each robot together, the oldest first."""
+    order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
+    return sorted(logs, key=lambda log: (order[log.family], log.age))
+
+
+def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
+    """Return the files of the program that each robot ran last, and those that earlier starts of another one left."""
+    newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
+    kept: list[Log] = []
+    old: list[Log] = []
+    for log in logs:
+        (kept if (log.program_hash, log.n_sys) == newest[log.family] else old).append(log)
+    return kept, old
+
+
+def _joined(lives: Sequence[Life]) -> list[Life]:
+    """Give each part the mission that a later part of the same start names. Records of a robot that started anew before
+    its first round belong to no mission and are left out."""
+    joined: list[Life] = []
+    later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
+    for life in reversed(lives):
+        follower = later.get((*life.log.family, life.pid))
+        if follower is not None and follower.continues and not life.mission:
+            life.mission, life.start = follower.mission, follower.start
+        later[(*life.log.family, life.pid)] = life
+        if follower is None or life.mission or life.tells:
+            joined.append(life)
+    return joined[::-1]
+
+
+def _same(logs: Sequence[Log]) -> None:
+    """All are of one program and one fleet."""
+    first = logs[0]
+    for log in logs[1:]:
+        for what, mine, its in (
+            ("program", first.app, log.app),
+            ("version of the program", first.program_hash, log.program_hash),
+            ("number of robots", first.n_sys, log.n_sys),
+            ("delta", first.delta, log.delta),
+        ):
+            if mine != its:
+                raise BadTrace(f"{first.path} and {log.path} are of another {what}: {mine} and {its}")
+
+
+def _lives(log: Log) -> Iterator[Life]:
+    """Each robot's lives, in their order; a life without any round, `init` or mission tells nothing."""
+    current: dict[int, Life] = {}
+    for line in log.lines:
+        record = line.record
+        kind = record["kind"]
+        begins = kind == "header" or (kind == "phase" and record["phase"] == "starting" and not record.get("detail"))
+        for pid in log.names if line.pid < 0 else [line.pid]:
+            life = current.get(pid)
+            if life is None or (begins and any(each.record["kind"] not in ("header", "phase") for each in life.lines)):
+                if life is not None:
+                    yield life
+                life = current[pid] = Life(log, pid)
+            life.lines.append(line)
+            told = _MISSION.match(record.get("detail", "")) if kind == "phase" else None
+            if told:
+                life.mission, life.start = told[1], float(told[2])
+    yield from current.values()
+
+
+def _chosen(lives: Sequence[Life]) -> str:
+    """The mission that all files have a part in; the files that one robot wrote beside one another count as one. Raises
+    BadTrace where there is none."""
+    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, and the last file that names it
+    for life in lives:
+        if life.mission:
+            named.setdefault(life.log.family, {})[life.mission] = life.log.path
+    if not named:
+        return ""
+    first, *others = named.values()
+    common = [mission for mission in first if all(mission in other for other in others)]
+    if common:
+        return common[-1]
+    odd = next((other for other in others if not set(first) & set(other)), others[0])
+    (mine, path), (its, other) = list(first.items())[-1], list(odd.items())[-1]
+    raise BadTrace(f"{path} and {other} are of different missions of the fleet: {mine} and {its}")
+
+
+def _tell(story: Story) -> None:
+    """From a robot's lives to its rounds. Raises BadTrace."""
+    story.lives.sort(key=_order)
+    teller = _Teller(story)
+    for life in story.lives:
+        teller.live(life)
+    teller.end()
+
+
+def _order(life: Life) -> tuple[int, int]:
+    """Lives of one file stand in their order, those of several files in the order of their rounds."""
+    first = FOREVER
+    for line in life.lines:
+        if line.record["kind"] in ("init", "round"):
+            first = min(first, line.record.get("round", 0))
+        elif line.record["kind"] == "checkpoint":
+            first = min(first, line.record["round"] + 1)
+    return first, life.lines[0].number
+
+
+class _Teller:
+    """Goes through one robot's lives."""
+
+    def __init__(self, story: Story) -> None:
+        self.story = story
+        self.previous = -1  # the last round told of; 0: `init`
+        self.doubt = ""  # why there may be something after it that was not told
+        self.came_back = False  # the doubt is about another life, or its trace is not there
+        self.resting, self.rested = False, 0.0  # in the present life, and since when
+        self.times: list[tuple[float, int]] = []  # of its rounds
+        self.left = FOREVER  # its first round in which it had left the mission
+        self.whose: dict[int, Path] = {}  # round -> the file that told of it
+
+    def live(self, life: Life) -> None:
+        story = self.story
+        if not life.continues:
+            self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
+            if life is not story.lives[0]:
+                self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
+        for line in life.lines:
+            record = line.record
+            match record["kind"]:
+                case "init":
+                    self.own(life, 0)
+                    story.init, self.previous, self.doubt, self.came_back = record, 0, "", False
+                case "checkpoint":
+                    self.checkpoint(record)
+                case "round":
+                    self.left = min(self.left, record["round"] if record.get("skipped") == LEFT else FOREVER)
+                    if self.own(life, record["round"]):
+                        self.times.append((_time(record), record["round"]))
+                        self.round(life, line)
+                case "monitor":
+                    story.monitors.append(record)
+                case "phase" if record["phase"] == "resting" and not self.resting:
+                    self.rested, self.resting = _time(record), True
+                    story.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
+                case kind if kind == LOST:
+                    self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
+                case _:
+                    pass
+        if self.resting:
+            since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
+            story.out[-1] = story.out[-1]._replace(since=min(since + 1, self.left))
+        elif self.left < FOREVER:  # where it said so cannot be read
+            self.resting = True
+            story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
+
+    def checkpoint(self, record: Mapping[str, Any]) -> None:
+        """Another part begins: what is not told before it is unknown, and the robot's own variables are known again."""
+        story, round_ = self.story, record["round"]
+        if round_ > self.previous:
+            self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
+            story.turns[round_ + 1] = record.get("own")
+            story.lacks = True
+            if self.previous < 0:
+                story.since = round_ + 1
+            self.previous = round_
+        self.doubt, self.came_back = "", False
+
+    def own(self, life: Life, round_: int) -> bool:
+        """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
+        before = self.whose.setdefault(round_, life.log.path)
+        if before != life.log.path:
+            what = f"round {round_}" if round_ else "its init"
+            raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both tell of {what}")
+        return round_ not in self.story.rounds
+
+    def round(self, life: Life, line: Line) -> None:
+        story, round_ = self.story, line.record["round"]
+        if self.previous < 0 and not self.doubt:
+            self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
+        if self.doubt and round_ > self.previous:
+            self.join(life, Gap(self.previous + 1, round_, self.doubt))
+            self.doubt, self.came_back = "", False
+        if story.out and story.out[-1].until == FOREVER and not self.resting:  # of an earlier life
+            story.out[-1] = story.out[-1]._replace(until=round_)
+        story.rounds[round_] = line
+        self.previous = max(self.previous, round_)
+
+    def join(self, life: Life, gap: Gap) -> None:
+        """What is not told before a record, and what a robot that came back went on with."""
+        self.story.quiet.append(gap)
+        records = (line.record for line in life.lines if line.record["kind"] == "round")
+        restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
+        if self.previous < 0 and self.story.lacks:
+            self.story.since = gap.until if restored is None else max(0, restored["round"])
+        if restored is None:
+            if self.came_back or gap.until > gap.since:
+                self.lose(gap)
+        elif restored["round"] >= gap.since:
+            self.lose(gap._replace(until=restored["round"] + 1))
+            self.story.turns[restored["round"]] = restored
+
+    def lose(self, gap: Gap) -> None:
+        self.story.acts.append(gap)
+        self.story.turns[gap.since] = None
+
+    def end(self) -> None:
+        """Whether the robot may have gone on after the last that it told of."""
+        lives = self.story.lives
+        if not lives:
+            self.lose(Gap(0, FOREVER, "there is no trace of it"))
+        elif self.doubt or not self.resting:
+            why = self.doubt or f"its trace ends there ({lives[-1].log.path})"
+            self.lose(Gap(self.previous + 1, FOREVER, why))
+
+
+def _time(record: Mapping[str, Any]) -> float:
+    return float(record.get("time", record.get("t", 0.0)))
+
+
+def _views(stories: Sequence[Story]) -> None:
+    """Who was counted out, from which round to which."""
+    views = {
+        line.record["number"]: line.record
+        for story in stories
+        for life in story.lives
+        for line in life.lines
+        if line.record["kind"] == "view" and len(line.record["members"]) == len(stories)
+    }
+    since: dict[int, int] = {}
+    for _, view in sorted(views.items()):
+        for story, member in zip(stories, view["members"], strict=True):
+            if member < 0:
+                since.setdefault(story.pid, view["since"])
+            elif story.pid in since:
+                story.away.append(Gap(since.pop(story.pid), view["since"], "the others had counted it out"))
+    for pid, first in since.items():
+        stories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))

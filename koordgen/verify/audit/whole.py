@@ -1,0 +1,191 @@
+"""The whole fleet's state, round by round, as far as the robots' traces tell it.
+
+A round has two moments at which sensors were sampled: right after its events (sensors as at its start), and its end
+(sensors as at the next one's start). What lies between, nobody sampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from koordgen.runtime.program.program import Calls
+from koordgen.runtime.program.property import UNKNOWN
+from koordgen.verify.audit.meaning import Meaning
+from koordgen.verify.audit.story import Mission, Story
+from koordgen.verify.replay.store import Writes, had_frame
+
+
+class Whole:
+    """`values` by name, as generated properties take them: of a local variable, a port and an allread variable a list
+    by pid, of an allwrite variable its value; UNKNOWN where nobody told. `round` is the last one that was applied: at
+    first the one before the mission's `first`."""
+
+    def __init__(self, meaning: Meaning, mission: Mission) -> None:
+        stories = mission.stories
+        self.round = mission.first - 1
+        self.values: dict[str, Any] = {}
+        self._meaning, self._stories = meaning, stories
+        program = meaning.program
+        ports = [(f"{m.name}.{p.name}", p.direction) for m in program.modules for p in m.ports]
+        self.sensors = [name for name, direction in ports if direction == "sensor"]
+        self._actuators = [name for name, direction in ports if direction == "actuator"]
+        self._locals = [v.name for v in program.locals]
+        self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, out of the model or not
+        self._shared = _Shared(meaning, stories, mission.first)
+        if mission.first:
+            names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
+            self.values = {name: [UNKNOWN] * len(stories) for name in names}
+            self.values |= {v.name: UNKNOWN for v in program.shared if v.kind == "allwrite"}
+        else:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Before `init`: first values, actuators unset; a target that nobody wrote is where its robot is."""
+        found, n = self._meaning.found.program, len(self._stories)
+        for variable in (*found.locals, *found.shared):
+            first = variable.initial()
+            self.values[variable.name] = first if variable.kind == "allwrite" else [first] * n
+        self._sample(0)
+        unset = {
+            p.name: p.unset() if p.unset is not None else UNKNOWN for p in found.ports if p.name in self._actuators
+        }
+        for name, value in unset.items():
+            place = self.values.get(name.rpartition(".")[0] + ".position", [UNKNOWN] * n)
+            self.values[name] = place if name.endswith(".target") else [value] * n
+
+    def advance(self) -> None:
+        """To right after the next round's events; round 0 is `init`."""
+        self.round += 1
+        for pid, story in enumerate(self._stories):
+            self._act(pid, story)
+        for name in self._locals:
+            self.values[name] = [own.get(name, UNKNOWN) for own in self._own]
+        self._sample(self.round)
+        for pid in range(len(self._stories)):
+            self._new_goals(pid)
+        for name in self._actuators:
+            self.values[name] = [
+                UNKNOWN if story.out_at(self.round) else own.get(name, UNKNOWN)
+                for own, story in zip(self._own, self._stories, strict=True)
+            ]
+        self.values.update(self._shared.after(self.round))
+
+    def end(self) -> None:
+        """To the end of this round."""
+        self._sample(self.round + 1)
+
+    def sampled(self, pid: int, round_: int) -> dict[str, Any]:
+        """A robot's sensors as at a round's start; UNKNOWN while it is out of the model."""
+        story = self._stories[pid]
+        told = self.record(pid, round_).get("sensors", {})
+        if story.out_at(round_):
+            told = {}
+        return {name: self._meaning.value(name, told.get(name, UNKNOWN)) for name in self.sensors}
+
+    def record(self, pid: int, round_: int) -> Mapping[str, Any]:
+        story = self._stories[pid]
+        if round_ == 0:
+            return story.init or {}
+        return story.rounds[round_].record if round_ in story.rounds else {}
+
+    def calls(self, pid: int) -> Calls | None:
+        """The robot's calls of callable ports in this round; None where a value in them is not known."""
+        told = self.record(pid, self.round).get("calls", [])
+        calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
+        return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
+
+    def _act(self, pid: int, story: Story) -> None:
+        own, record = self._own[pid], self.record(pid, self.round)
+        if self.round in story.turns:
+            own.clear()
+            self._take(own, story.turns[self.round] or {})
+        self._take(own, record.get("restored") or {})
+        self._take(own, record)
+
+    def _take(self, own: dict[str, Any], told: Mapping[str, Any]) -> None:
+        for group in ("locals", "actuators"):
+            own.update(self._meaning.values(told.get(group, {})))
+
+    def _new_goals(self, pid: int) -> None:
+        """A goal that was just written is not reached until a sensor says otherwise."""
+        for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
+            module, _, port = name.rpartition(".")
+            reached = self.values.get(f"{module}.reached")
+            if port in ("target", "path") and reached is not None and reached[pid] is not UNKNOWN:
+                reached[pid] = False
+
+    def _sample(self, round_: int) -> None:
+        samples = [self.sampled(pid, round_) for pid in range(len(self._stories))]
+        for name in self.sensors:
+            self.values[name] = [sample[name] for sample in samples]
+
+
+class _Shared:
+    """The shared store after each round: what any robot saw of it at the next one's start, else what all told that they
+    wrote."""
+
+    def __init__(self, meaning: Meaning, stories: list[Story], first: int) -> None:
+        self._meaning, self._stories = meaning, stories
+        self._writes = Writes(meaning.program, len(stories))
+        for story in stories:
+            for record in [story.init or {}, *[line.record for line in story.rounds.values()]]:
+                self._writes.hear(story.pid, record)
+        self._store: dict[str, Any] = dict(self._writes.first())
+        self._copies: list[dict[str, Any]] = [{} for _ in stories]  # of an allread variable by pid
+        self._told: dict[str, Any] = {}  # as `_store`, in JSON
+        self._values: dict[str, Any] = {}
+        if first:  # then nobody tells what was there before
+            for story in stories:
+                self._lose(story.pid)
+                self._see(story, first)
+
+    def after(self, round_: int) -> dict[str, Any]:
+        """Call it for each round in turn, from the first."""
+        self._store = dict(self._writes.after(self._store, round_))
+        for story in self._stories:
+            if story.may_act(round_):
+                self._lose(story.pid)
+        for story in self._stories:
+            self._see(story, round_ + 1)
+        for name, told in self._store.items():
+            if name not in self._told or self._told[name] != told:
+                slots = name in self._writes.slots
+                of = self._meaning.value
+                self._values[name] = [of(name, own) for own in told] if slots else of(name, told)
+                self._told[name] = told
+        return self._values
+
+    def _lose(self, pid: int) -> None:
+        """What this robot may have written in a round of which it told nothing."""
+        for name, held in self._store.items():
+            if name in self._writes.slots:
+                self._store[name] = [UNKNOWN if p == pid else own for p, own in enumerate(held)]
+            else:
+                self._store[name] = UNKNOWN
+
+    def _see(self, story: Story, round_: int) -> None:
+        """What a robot saw at the start of a round is the store, whole."""
+        copy = self._copies[story.pid]
+        if story.turns.get(round_, copy) is None:
+            copy.clear()
+        line = story.rounds.get(round_)
+        if line is None or not had_frame(line.record):
+            return
+        told = line.record.get("copy", {})
+        for name, held in told.items():
+            if name not in self._writes.slots:
+                copy[name] = held
+            elif isinstance(held, dict):
+                copy.setdefault(name, {}).update(
+                    {int(p): own for p, own in held.items() if p.isdecimal() and len(p) < 10}
+                )
+        for name, held in self._store.items():
+            if name in self._writes.slots:
+                slots = copy.get(name, {})
+                self._store[name] = [slots.get(p, own) for p, own in enumerate(held)]
+            elif name in copy:
+                self._store[name] = copy[name]
+        for name, own in line.record.get("shared", {}).items():
+            if name in self._writes.slots:
+                copy.setdefault(name, {})[story.pid] = own

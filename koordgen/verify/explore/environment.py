@@ -1,0 +1,183 @@
+"""A finite environment: what sensors may say first, and next after each round; what callable ports may answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from itertools import product
+from typing import Any, Final, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.expr import PortCall, PortRead
+from koordgen.lang.node import nodes
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import NoMeaning
+from koordgen.lang.semantics.property import Asked, holds_assumption
+from koordgen.lang.semantics.step import initial
+from koordgen.lang.semantics.values import Value
+from koordgen.verify.explore.machine import Answer, Machine, Own, Packed
+from koordgen.verify.replay.functions import meant_value
+
+STRAIGHT: Final = "straight"  # the way from `position` to the goal
+
+
+class Domain(NamedTuple):
+    """The values of one sensor. `near` tells whether one follows another within a round; None: any does. `starts` are
+    those of the beginning; None: all. `seen_from`: the value follows from where the robot is."""
+
+    values: tuple[Value, ...]
+    near: Callable[[Value, Value], bool] | None = None
+    starts: tuple[Value, ...] | None = None
+    seen_from: Callable[[Any], Value] | None = None
+
+
+class Lacking(Exception):
+    """An environment is needed, and is not there or not usable; the message says for which port."""
+
+
+class Environment(NamedTuple):
+    """By "Module.port": sensors' domains; what callable ports may answer, values or STRAIGHT. `robots`: of those that
+    have their own, instead. `params` are those that the environment asks for."""
+
+    domains: Mapping[str, Domain]
+    answers: Mapping[str, tuple[Any, ...]]
+    robots: Mapping[int, Environment] = {}
+    params: Mapping[str, Any] = {}
+
+    def of(self, pid: int) -> Environment:
+        """That of one robot."""
+        return self.robots.get(pid, self)
+
+
+def answering(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
+    """What the callable ports of a robot may answer, by what its sensors say. Raises Lacking where assumptions allow
+    none of it."""
+    params = initial(program, 1).params
+    judges = {port: _judges(program, port) for port in environment.answers}
+    read = {port: _sensors(rules, port) for port, rules in judges.items()}
+    known: dict[Hashable, tuple[Any, ...]] = {}
+
+    def allowed(pid: int, sensors: Mapping[str, Any], asked: Asked) -> bool:
+        return all(
+            holds_assumption(rule, program, sensors, sensors, pid, n_sys, params, asked=[asked])
+            for rule in judges[asked.port]
+        )
+
+    def answers(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
+        key = (pid, port, repr(args), repr([sensors.get(name) for name in read[port]]))
+        if key not in known:
+            known[key] = asked_anew(pid, sensors, port, args)
+        return known[key]
+
+    def asked_anew(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
+        given = [
+            (sensors[f"{port.partition('.')[0]}.position"], args[0]) if answer == STRAIGHT else answer
+            for answer in environment.of(pid).answers[port]
+        ]
+        kept = tuple([answer for answer in given if allowed(pid, sensors, Asked(port, args, answer))])
+        if not kept:
+            asked = ", ".join(map(str, args))
+            raise Lacking(f"{port}({asked}) of robot {pid}: none of its answers is one that is assumed")
+        return kept
+
+    return answers
+
+
+def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
+    """The assumptions of which a port's answer alone decides, and what sensors say when it is asked for."""
+    sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
+    found = []
+    for assumption in [a for m in program.modules for a in m.assumptions]:
+        read = list(nodes(assumption.formula))
+        if any(isinstance(n, PortCall) and f"{n.module}.{n.port}" == port for n in read) and all(
+            (n.module, n.port) in sensors and not n.primed for n in read if isinstance(n, PortRead)
+        ):
+            found.append(assumption)
+    return found
+
+
+def _sensors(rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
+    """Those that answers depend on: what the assumptions read, and where a straight way begins."""
+    found = {f"{n.module}.{n.port}" for rule in rules for n in nodes(rule.formula) if isinstance(n, PortRead)}
+    return tuple(sorted(found | {f"{port.partition('.')[0]}.position"}))
+
+
+class Surroundings:
+    """The environment's steps of one machine's fleets."""
+
+    def __init__(self, machine: Machine, environment: Environment) -> None:
+        self.machine = machine
+        self.domains = [environment.of(pid).domains for pid in range(machine.n_sys)]
+        own = next(iter(environment.robots), None)
+        self.apart = "" if own is None else f"the environment's values for robot {own}"
+        self._moves: dict[tuple[int, int], tuple[int, ...]] = {}
+        self._news: dict[Hashable, list[dict[str, Value]]] = {}
+
+    def starts(self) -> Iterator[tuple[dict[str, Value], ...]]:
+        """What all robots' sensors may say when a mission begins, `initially` aside."""
+        return product(*[self._starts(domains) for domains in self.domains])
+
+    def _starts(self, domains: Mapping[str, Domain]) -> list[dict[str, Value]]:
+        pools: list[tuple[Value, ...]] = []
+        for name in self.machine.sensors:
+            values, _, starts, _ = domains[name]
+            pools.append((True,) if name in self.machine.unset else values if starts is None else starts)
+        return [self._looked(domains, values) for values in product(*pools)]
+
+    def _looked(self, domains: Mapping[str, Domain], values: tuple[Value, ...]) -> dict[str, Value]:
+        """Sensors by name, with what is seen from where the robot is."""
+        found = dict(zip(self.machine.sensors, values, strict=True))
+        for name in found:
+            look = domains[name].seen_from
+            if look is not None:
+                found[name] = look(found[f"{name.rpartition('.')[0]}.position"])
+        return found
+
+    def moved(self, fleet: Packed) -> Iterator[Packed]:
+        """Every fleet after the environment's step. Raises Lacking where an assumption has no value."""
+        if not self.machine.sensors:
+            yield fleet
+            return
+        n_sys = self.machine.n_sys
+        rest = fleet[n_sys:]
+        for owns in product(*[self.moves(pid, fleet[pid]) for pid in range(n_sys)]):
+            yield owns + rest
+
+    def moves(self, pid: int, own: int) -> tuple[int, ...]:
+        """What one robot's own may be after the step."""
+        found = self._moves.get((pid, own))
+        if found is None:
+            robot = self.machine.owns.values[own]
+            key = (pid, self.machine.ports_key(robot))  # no assumption reads anything else
+            if key not in self._news:
+                domains = self.domains[pid]
+                pools = [
+                    [True] if name in robot.unset else self._nearby(domains[name], robot.sensors[name])
+                    for name in self.machine.sensors
+                ]
+                news = [self._looked(domains, values) for values in product(*pools)]
+                self._news[key] = [new for new in news if self._allowed(pid, robot, new)]
+            moved = [self.machine.own(robot._replace(sensors=new)) for new in self._news[key]]
+            found = self._moves[pid, own] = tuple(moved)
+        return found
+
+    def _nearby(self, domain: Domain, now: Value) -> list[Value]:
+        return [v for v in domain.values if domain.near is None or domain.near(now, v)]
+
+    def _allowed(self, pid: int, robot: Own, new: Mapping[str, Any]) -> bool:
+        """Whether the assumptions let one robot's sensors come to these values."""
+        program, types = self.machine.program, self.machine.types
+        before = {n: meant_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
+        after = {**before, **new}
+        for module in program.modules:
+            for assumption in module.assumptions:
+                try:
+                    held = holds_assumption(
+                        assumption, program, before, after, pid, self.machine.n_sys, self.machine.params
+                    )
+                except Discarded as error:
+                    raise Lacking(f"{module.name}: an assumption has no value: {error}") from None
+                except NoMeaning as error:
+                    raise Lacking(f"{module.name}: an assumption cannot be evaluated: {error}") from None
+                if not held:
+                    return False
+        return True

@@ -1,0 +1,219 @@
+"""What makes no difference to what can happen, and is forgotten: which robot's own may stand for which other.
+
+1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event left;
+   its values may differ, all else goes on alike. Whether events read it is not told from their text: it is taken for
+   unread until one does (`Unread`, raised while the event runs); then it is kept, and the search begins anew. Events
+   that read and write nothing but that variable (a counter that runs down) and stand in no `priority:` block, where
+   their guards would be read by others, are left out of rounds. All values that it can have are tried on them apart,
+   for faults and to see whether they are ever enabled: what is written to it elsewhere depends on no forgotten value,
+   so each such value is met in some robot that the search makes.
+2. A robot that has nothing left but to stop. By its locals and its own slots alone, which nobody else writes, each
+   of its events has a false guard or does nothing but `stop`, and so for ever. It may stand for one that has stopped:
+   what either does, the other matches by skipping. Of both all locals are forgotten that no invariant names.
+
+Both keep the number of rounds to whatever is found. They do not keep deadlocks: who is forgotten may still have an
+event. So where a deadlock is found the search begins anew without forgetting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from functools import cache
+from typing import Any
+
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.node import nodes
+from koordgen.runtime.program import program as rt
+from koordgen.verify.explore.machine import Interned, Machine, Own, Packed
+
+MOST = 10_000  # values of one variable that are tried
+
+
+class Unread(BaseException):
+    """A variable that was taken for unread is read. No Exception: generated code's own are faults of the program."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class _Others(BaseException):
+    """What is not a robot's own is read."""
+
+
+class _Hidden(rt.Cell[Any]):
+    __slots__ = ()
+
+    @property
+    def value(self) -> Any:
+        raise _Others
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        raise _Others
+
+
+class _OwnSlots(rt.Slots[Any]):
+    __slots__ = ()
+
+    def __getitem__(self, index: int) -> Any:
+        if index != self._pid:
+            raise _Others
+        return super().__getitem__(index)
+
+    @property
+    def all(self) -> tuple[Any, ...]:
+        raise _Others
+
+
+@cache
+def watched(name: str) -> type[rt.Cell[Any]]:
+    """A cell that may be written, but not read before."""
+
+    def value(cell: rt.Cell[Any]) -> Any:
+        if not cell.line:
+            raise Unread(name)
+        return cell._value
+
+    return type("Watched", (rt.Cell,), {"__slots__": (), "value": property(value, rt.Cell.value.fset)})  # type: ignore[attr-defined]
+
+
+class Forgetting:
+    """What is forgotten of one machine's fleets: `locals`, and the events `idle` that only turn on those."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        program = machine.program
+        named = {node.name for p in program.properties for node in nodes(p.formula) if isinstance(node, expr.LocalOf)}
+        self._named = tuple([v.name for v in program.locals if v.name in named])
+        guards = {node.name for e in program.events for node in nodes(e.guard) if isinstance(node, expr.LocalRead)}
+        alone = [_turns_on(event) for event in program.events]
+        unread = [v.name for v in program.locals if v.name not in named]
+        self._take([name for name in unread if name not in guards or name in alone])
+
+    def keep(self, name: str) -> None:
+        """A variable is read after all."""
+        self._take([other for other in self.locals if other != name])
+
+    def _take(self, names: list[str]) -> None:
+        self.locals = tuple(names)
+        events = enumerate(self.machine.program.events)
+        self._turning = {index: name for index, event in events if (name := _turns_on(event)) in names and name}
+        self.idle = frozenset(self._turning)
+        self._kept = tuple([v.name for v in self.machine.program.locals if v.name not in names])
+        self._standing: dict[tuple[int, int, int], int] = {}
+        self._alike: Interned[int] = Interned()
+        self._tried: set[Hashable] = set()
+        self.machine.watch({name: watched(name) for name in names})
+
+    def fleet(self, fleet: Packed) -> Packed:
+        """The fleet that stands for this one."""
+        n_sys, seen = self.machine.n_sys, fleet[self.machine.n_sys :]
+        return (*[self.own(pid, fleet[pid], seen) for pid in range(n_sys)], *seen)
+
+    def own(self, pid: int, own: int, seen: Packed) -> int:
+        """The one that stands for a robot's own; of the store only its own slots count."""
+        key = (pid, own, seen[pid])
+        found = self._standing.get(key)
+        if found is None:
+            found = self._standing[key] = self._stands(pid, own, seen)
+        return found
+
+    def _stands(self, pid: int, own: int, seen: Packed) -> int:
+        machine = self.machine
+        robot = machine.owns.values[own]
+        self._turn(pid, robot, seen)
+        stopped = robot.stopped or self._finished(pid, robot, seen)
+        names = self._named if stopped else self._kept
+        key = (*[machine.key(name, robot.locals[name]) for name in names], machine.ports_key(robot), stopped)
+        if stopped != robot.stopped:
+            own = machine.own(robot._replace(stopped=True))
+        return self._alike.values[self._alike.number(key, own)]
+
+    def _turn(self, pid: int, robot: Own, seen: Packed) -> None:
+        """Tries the idle events on all values that their variables come to from here."""
+        machine, code = self.machine, self.machine.code
+        if robot.stopped:
+            return
+        for name in set(self._turning.values()):
+            pending = [robot.locals[name]]
+            for value in pending:  # grows meanwhile
+                key = (name, machine.key(name, value))
+                if key in self._tried:
+                    continue
+                self._tried.add(key)
+                if len(self._tried) > MOST:
+                    raise Unread(name)
+                frame = machine.frame(pid, robot._replace(locals={**robot.locals, name: value}), seen)
+                for index in [index for index, turning in self._turning.items() if turning == name]:
+                    event = code.events[index]
+                    try:
+                        ready = rt.enabled(event, code.begin(frame))
+                        done = rt.run(code, event.effect, code.begin(frame)) if ready else None
+                    except Exception:  # of the guard: as the search tells it
+                        raise Unread(name) from None
+                    if isinstance(done, rt.Fault) or (done is not None and done.violated):
+                        raise Unread(name)
+                    if done is not None:
+                        machine.enabled.add(index)
+                        pending.append(done.locals[name])
+
+    def _finished(self, pid: int, robot: Own, seen: Packed) -> bool:
+        """Whether a robot will do nothing but stop, whatever comes."""
+        machine, code = self.machine, self.machine.code
+        frame = machine.frame(pid, robot, seen)
+        stopping = []
+        for index, event in enumerate(code.events):
+            if index in self.idle:
+                continue
+            try:
+                if not rt.enabled(event, self._alone(frame)):
+                    continue
+                if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
+                    continue  # now and so for ever: the one that has priority does nothing but stop
+                done = rt.run(code, event.effect, self._alone(frame))
+            except (Exception, Unread, _Others):
+                return False
+            if not isinstance(done, rt.Effects) or done.violated or not done.stopped or done.shared or done.actuators:
+                return False
+            if any(done.locals[name] is not robot.locals[name] for name in self._named):
+                return False
+            stopping.append(index)
+        machine.enabled.update(stopping)
+        return bool(stopping)
+
+    def _alone(self, frame: rt.Frame) -> rt.Transaction:
+        """An event's State that shows nothing but the robot's locals, actuators and own slots."""
+        machine = self.machine
+        state = machine.begin(frame)
+        for name in machine.allread:
+            state.written[name].__class__ = _OwnSlots
+        for name in machine.allwrite:
+            state.written[name].__class__ = _Hidden
+        for name in machine.sensors:
+            module, _, port = name.partition(".")
+            delattr(state, machine.names.ports[module, port])
+        return state
+
+
+def _turns_on(event: decl.Event) -> str | None:
+    """The one variable that an event reads and writes, where that is all that it does, and it stands in no block."""
+    names, parts = set(), (event.guard, event.effect)
+    for node in nodes(parts):
+        match node:
+            case expr.LocalRead(name) | stmt.LocalPlace(name):
+                names.add(name)
+            case expr.Pid() | expr.SlotRead() | expr.SlotsRead() | expr.SharedRead() | expr.PortRead():
+                return None
+            case (
+                expr.PortCall()
+                | expr.ExternCall()
+                | stmt.OwnSlot()
+                | stmt.SharedPlace()
+                | stmt.PortPlace()
+                | stmt.Stop()
+            ):
+                return None
+            case _:
+                pass
+    return names.pop() if len(names) == 1 and event.lock is None and event.priority is None else None

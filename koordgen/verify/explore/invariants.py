@@ -1,0 +1,172 @@
+"""A program's invariants as compiled Python over packed fleets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from koordgen.build.emit import expr, library
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.node import nodes
+from koordgen.runtime.program.property import Each, One
+from koordgen.runtime.values.turns import begin
+from koordgen.verify.explore.machine import Interned, Machine, Packed
+from koordgen.verify.explore.pairs import Pairs, spread
+
+
+class _Fleet:
+    """What a formula reads; its names are minted for the program."""
+
+    def __init__(self, n_sys: int) -> None:
+        self.n_sys = n_sys
+
+
+class _View:
+    """What one formula reads of fleets, as numbers: equal ones, the same truth."""
+
+    def __init__(self, formula: ir.Expr, machine: Machine) -> None:
+        names = _reads(formula)
+        self._machine = machine
+        self._own = [v.name for v in machine.program.locals if v.name in names]
+        self._ports = [name for name in (*machine.sensors, *machine.actuators) if name in names]
+        self._slots = [i for i, name in enumerate(machine.allread) if name in names]
+        self._cells = [i for i, name in enumerate(machine.allwrite) if name in names]
+        self._parts: Interned[None] = Interned()
+        self._of: tuple[dict[int, int], dict[int, int], dict[int, int]] = ({}, {}, {})
+        self.known: dict[Packed, bool] = {}
+
+    def of(self, fleet: Packed) -> Packed:
+        """Of each number of a fleet what the formula reads of it."""
+        n_sys = self._machine.n_sys
+        owns, slots, cells = self._of
+        try:
+            return (
+                *[owns[number] for number in fleet[:n_sys]],
+                *[slots[number] for number in fleet[n_sys:-1]],
+                cells[fleet[-1]],
+            )
+        except KeyError:
+            self._learn(fleet)
+            return self.of(fleet)
+
+    def _learn(self, fleet: Packed) -> None:
+        machine, n_sys = self._machine, self._machine.n_sys
+        owns, slots, cells = self._of
+        for number in fleet[:n_sys]:
+            robot = machine.owns.values[number]
+            ports = {**robot.sensors, **robot.actuators}
+            held = [(name, robot.locals[name]) for name in self._own] + [(name, ports[name]) for name in self._ports]
+            owns[number] = self._part(held)
+        for number in fleet[n_sys:-1]:
+            values = machine.slots.values[number]
+            slots[number] = self._part([(machine.allread[i], values[i]) for i in self._slots])
+        written = machine.cells.values[fleet[-1]]
+        cells[fleet[-1]] = self._part([(machine.allwrite[i], written[i]) for i in self._cells])
+
+    def _part(self, held: list[tuple[str, Any]]) -> int:
+        return self._parts.number(tuple([self._machine.key(name, value) for name, value in held]), None)
+
+
+class Invariants:
+    """All that can be evaluated; `unchecked` are the names of those that ask a `spec fun`."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        specs = {s.name for s in machine.program.specs}
+        meant: dict[bool, list[decl.Property]] = {True: [], False: []}
+        for property_ in machine.program.properties:
+            if property_.kind == "invariant":
+                meant[not _calls(property_.formula, specs)].append(property_)
+        self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
+        spreads = [spread(property_.formula) for property_ in self.properties]
+        self._holds = [self._compiled(property_) for property_ in self.properties]
+        self._whole = [
+            (_View(property_.formula, machine), holds)
+            for property_, holds, one in zip(self.properties, self._holds, spreads, strict=True)
+            if one is None
+        ]
+        self._fleet = _Fleet(machine.n_sys)
+        self._pairs = Pairs(machine, [one for one in spreads if one], self._fleet, self._take)
+        names, program = machine.names, machine.program
+        self._each: dict[str, Each[Any]] = {}
+        self._one: dict[str, One[Any]] = {}
+        attributes = {v.name: names.locals[v.name] for v in program.locals}
+        attributes |= {name: names.shared[name] for name in machine.allread}
+        attributes |= {f"{m.name}.{p.name}": names.ports[m.name, p.name] for m in program.modules for p in m.ports}
+        for name, attribute in attributes.items():
+            self._each[name] = Each(name, None)
+            setattr(self._fleet, attribute, self._each[name])
+        for name in machine.allwrite:
+            self._one[name] = One(name, None)
+            setattr(self._fleet, names.shared[name], self._one[name])
+
+    def broken(self, fleet: Packed) -> decl.Property | None:
+        """The first that does not hold; one that has no value (an index that names no robot) does not."""
+        if self._pairs.hold(fleet) and self._whole_hold(fleet):
+            return None
+        self._take(fleet)
+        return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
+
+    def _whole_hold(self, fleet: Packed) -> bool:
+        """Whether those hold that are of no kind that Pairs knows."""
+        taken = False
+        for view, holds in self._whole:
+            seen = view.of(fleet)
+            held = view.known.get(seen)
+            if held is None:
+                if not taken:
+                    self._take(fleet)
+                    taken = True
+                held = view.known[seen] = self._true(holds)
+            if not held:
+                return False
+        return True
+
+    def _true(self, holds: Callable[[_Fleet], bool]) -> bool:
+        begin()
+        try:
+            return holds(self._fleet)
+        except Exception:  # whatever functions of the user's raise
+            return False
+
+    def _take(self, fleet: Packed) -> None:
+        machine = self.machine
+        robots = [machine.owns.values[own] for own in fleet[: machine.n_sys]]
+        for v in machine.program.locals:
+            self._each[v.name].values = [robot.locals[v.name] for robot in robots]
+        for name in machine.sensors:
+            self._each[name].values = [robot.sensors[name] for robot in robots]
+        for name in machine.actuators:
+            self._each[name].values = [robot.actuators[name] for robot in robots]
+        columns = zip(*[machine.slots.values[number] for number in fleet[machine.n_sys : -1]], strict=True)
+        for name, column in zip(machine.allread, columns, strict=False):
+            self._each[name].values = column
+        for name, value in zip(machine.allwrite, machine.cells.values[fleet[-1]], strict=True):
+            self._one[name].content = value
+
+    def _compiled(self, property_: decl.Property) -> Callable[[_Fleet], bool]:
+        body = f"def invariant(s):\n    return {expr.text(property_.formula, self.machine.names)}\n"
+        imports = "\n".join([line for group in library.imports(body) for line in group])
+        scope = dict(self.machine.scope)
+        exec(compile(f"{imports}\n{body}", f"invariant {property_.name}", "exec"), scope)
+        found: Callable[[_Fleet], bool] = scope["invariant"]
+        return found
+
+
+def _calls(formula: ir.Expr, specs: set[str]) -> bool:
+    return any(isinstance(node, ir.Call) and node.name in specs for node in nodes(formula))
+
+
+def _reads(formula: ir.Expr) -> set[str]:
+    """The names of the locals, shared variables and ports that a formula reads."""
+    found = set()
+    for node in nodes(formula):
+        match node:
+            case ir.LocalOf(name) | ir.SlotRead(name) | ir.SlotsRead(name) | ir.SharedRead(name):
+                found.add(name)
+            case ir.PortOf(module, port):
+                found.add(f"{module}.{port}")
+            case _:
+                pass
+    return found

@@ -1,0 +1,375 @@
+"""A program's events as compiled Python over packed fleets: the very code that robots run, remembered by what it reads.
+
+A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's own (locals, ports, whether it stopped),
+then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal values, floats
+by all their bits; what no event can read, the number of the round, is left out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from koordgen.build.emit.names import Names
+from koordgen.build.emit.program import functions_module, program_text
+from koordgen.build.emit.types import with_floats
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.exec import declared
+from koordgen.lang.semantics.state import Robot, State, Store
+from koordgen.lang.semantics.step import initial
+from koordgen.runtime.program import program as rt
+from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
+
+T = TypeVar("T")
+Packed = tuple[int, ...]
+Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> the answer
+# pid, its sensors, "Module.port", arguments -> all that may be answered
+Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
+_numbers = count()
+
+
+class Own(NamedTuple):
+    """What is one robot's alone; ports by "Module.port". `unset`: the sensors `reached` of modules that were commanded
+    nothing yet; they stay true until then."""
+
+    locals: Mapping[str, Any]
+    sensors: Mapping[str, Any]
+    actuators: Mapping[str, Any]
+    stopped: bool
+    unset: frozenset[str] = frozenset()
+
+
+class Choice(NamedTuple):
+    """An event that a robot may run: its index, the robot's own and slots afterwards, what it writes to cells."""
+
+    event: int
+    own: int
+    slots: int
+    cells: int
+
+
+class Discard(NamedTuple):
+    """An event (-1: init) that has no result, or in which the loop invariant on `line` is false: then `choice` is its
+    result. It read the store `seen`, two parts of a packed fleet."""
+
+    pid: int
+    event: int
+    own: int
+    seen: Packed
+    line: int
+    reason: str
+    choice: Choice | None = None
+
+
+class Asking:
+    """The ways an event can go, by what callable ports answer: any of what they may, equal questions the same."""
+
+    def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
+        self._answers = answers
+        self._raised: Exception | None = None
+
+    def ways(self) -> Iterator[None]:
+        """Each is to be followed by a run of the event. Raises what the answers raise, which a run would take for a
+        fault of the event's."""
+        self._pending: list[tuple[int, ...]] = [()]
+        while self._pending:
+            self._script = self._pending.pop()
+            self._given: dict[Hashable, Any] = {}
+            yield
+            if self._raised is not None:
+                raise self._raised
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        key = (port, repr(args))
+        if key not in self._given:
+            place = len(self._given)
+            try:
+                options = self._answers(port, args)
+            except Exception as error:
+                self._raised = error
+                raise
+            if place == len(self._script):
+                self._pending += [(*self._script, other) for other in range(1, len(options))]
+                self._script = (*self._script, 0)
+            self._given[key] = options[self._script[place]]
+        return self._given[key]
+
+
+class Interned(Generic[T]):
+    """Values by number, equal keys having one number."""
+
+    def __init__(self) -> None:
+        self.values: list[T] = []
+        self._numbers: dict[Hashable, int] = {}
+
+    def number(self, key: Hashable, value: T) -> int:
+        found = self._numbers.setdefault(key, len(self.values))
+        if found == len(self.values):
+            self.values.append(value)
+        return found
+
+
+class Machine:
+    """One program for a fleet of `n_sys`. Runs the user's file of extern functions, if the program has some. Raises
+    CannotCall. `discards` are all that were met, `enabled` the indices of the events that had a result."""
+
+    def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
+        self.program, self.n_sys, self.answer = program, n_sys, answer
+        self.names = Names(program)
+        self.scope = _compiled(program, functions)
+        self.code: rt.Program = self.scope["PROGRAM"]
+        ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
+        self.types = declared(program)
+        self.sensors = tuple(name for name, port in ports if port.direction == "sensor")
+        self.actuators = tuple(name for name, port in ports if port.direction == "actuator")
+        goals = {name.rpartition(".")[0] for name in self.actuators if name.endswith((".target", ".path"))}
+        self.unset = frozenset({f"{module}.reached" for module in goals} & set(self.sensors))
+        self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
+        self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
+        self.owns: Interned[Own] = Interned()
+        self.slots: Interned[tuple[Any, ...]] = Interned()
+        self.cells: Interned[tuple[Any, ...]] = Interned()
+        self.writes: Interned[Mapping[str, Any]] = Interned()
+        self.nothing = self.writes.number((), {})
+        self._written: dict[tuple[int, int], int] = {}
+        self.params = initial(program, 1).params
+        self.discards: list[Discard] = []
+        self.enabled: set[int] = set()
+        self.watched: dict[str, type[rt.Cell[Any]]] = {}  # locals whose cells tell when they are read
+        place = {event.name: index for index, event in enumerate(program.events)}
+        self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
+        self._look: rt.Transaction | None = None
+        self._sensors = {f"{module}.{port}": self.names.ports[module, port] for module, port in self.names.sensors}
+
+    def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
+        """Those of the events that a robot may run by priority: all guards before them in their `priority:` blocks have
+        a value and are false on the store at the round's start."""
+        robot = self.owns.values[own]
+        held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
+        return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
+
+    def first(self, pid: int, own: int, begun: Packed) -> int | None:
+        """The event that an agent runs: the first in text order whose guard holds, or has no value."""
+        robot = self.owns.values[own]
+        if robot.stopped:
+            return None
+        return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
+
+    def _may_hold(self, event: int, pid: int, robot: Own, begun: Packed) -> bool:
+        """Return whether a guard holds or has no value."""
+        try:
+            return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
+        except Exception:  # a fault of the guard's
+            return True
+
+    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+        """Return the steps of these events that a robot may take on a store: all whose guards hold, but those
+        discarded. The events have priority, see `prior`."""
+        robot = self.owns.values[own]
+        if robot.stopped:
+            return ()
+        asking = self._asking(pid, robot)
+        looking = self._looking(pid, robot, seen, asking.call)
+        found: dict[Choice, None] = {}
+        for index in events:
+            for _ in asking.ways():
+                done = self._run(self.code.events[index], looking, lambda: self.frame(pid, robot, seen, asking.call))
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+                elif isinstance(done, rt.Effects):
+                    self.enabled.add(index)
+                    found[self._noted(index, pid, own, seen, done)] = None
+        return tuple(found)
+
+    def _asking(self, pid: int, robot: Own) -> Asking:
+        return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
+
+    def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
+        """What an event does; None where its guard does not hold."""
+        try:
+            if not rt.enabled(event, looking):
+                return None
+            return rt.run(self.code, event.effect, self.begin(frame()), event.line)
+        except Exception:  # of a guard: the same again, told as of an effect
+            return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
+
+    def begun(self, fleet: Packed) -> list[Packed]:
+        """A fleet after every robot's init, each on the store before it, in every way that this can go."""
+        init = self.code.init
+        if init is None:
+            return [fleet]
+        found, seen = [fleet], fleet[self.n_sys :]
+        for pid in range(self.n_sys):
+            robot = self.owns.values[fleet[pid]]
+            asking = self._asking(pid, robot)
+            frame = self.frame(pid, robot, seen, asking.call)
+            made: dict[Choice, None] = {}
+            for _ in asking.ways():
+                done = rt.run(self.code, init, self.code.begin(frame))
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+                else:
+                    made[self._noted(-1, pid, fleet[pid], seen, done)] = None
+            found = [self.applied(after, pid, choice) for after in found for choice in made]
+        return found
+
+    def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
+        """A fleet after one robot's event, all of its writes together."""
+        made = list(fleet)
+        made[pid], made[self.n_sys + pid] = choice.own, choice.slots
+        if choice.cells != self.nothing:
+            made[-1] = self._cells(fleet[-1], choice.cells)
+        return tuple(made)
+
+    def begin(self, frame: rt.Frame) -> rt.Transaction:
+        """What an event works on."""
+        state = self.code.begin(frame)
+        for name, kind in self.watched.items():
+            state.written[name].__class__ = kind
+        return state
+
+    def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
+        """Locals whose cells are of these classes from now on."""
+        self.watched = dict(cells)
+        self._look = None
+
+    def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
+        """What guards look at. They write nothing, so that it is one object, of which only what differs is put in."""
+        if self._look is None:
+            self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
+        look: Any = self._look
+        known, store = self._looked
+        self._looked = robot, seen
+        if store is not seen:
+            columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
+            for name, column in zip(self.allread, columns, strict=False):
+                look.written[name]._values = column
+            for name, value in zip(self.allwrite, self.cells.values[seen[-1]], strict=True):
+                look.written[name]._value = value
+        if known is not robot:
+            for name, value in robot.locals.items():
+                look.written[name]._value = value
+            for name, value in robot.actuators.items():
+                look.written[name]._value = value
+            for name, value in robot.sensors.items():
+                setattr(look, self._sensors[name], value)
+        look.pid, look.call = pid, call
+        for name in self.allread:
+            look.written[name]._pid = pid
+        return look
+
+    def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
+        """What a robot knows at an event."""
+        columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
+        shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
+        shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
+        return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
+
+    def own(self, robot: Own) -> int:
+        """The number of what one robot has to itself."""
+        own = tuple([self.key(v.name, robot.locals[v.name]) for v in self.program.locals])
+        return self.owns.number((own, self.ports_key(robot), robot.stopped), robot)
+
+    def ports_key(self, robot: Own) -> Hashable:
+        """What tells a robot's ports apart."""
+        sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
+        return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
+
+    def packed(self, state: State) -> Packed:
+        """A state of the semantics, in which nothing was commanded yet."""
+        robots = [self.own(self._own(robot)) for robot in state.robots]
+        slots = [
+            self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
+            for pid in range(self.n_sys)
+        ]
+        cells = tuple([self._taken(name, state.store.cells[name]) for name in self.allwrite])
+        return (*robots, *slots, self._cell_number(cells))
+
+    def state(self, fleet: Packed, number: int = 1) -> State:
+        """A packed fleet as the semantics has it, before round `number`."""
+        robots = []
+        for own in fleet[: self.n_sys]:
+            held = self.owns.values[own]
+            ports = self._meant({**held.sensors, **held.actuators})
+            robots.append(Robot(self._meant(held.locals), ports, held.stopped))
+        columns = zip(*[self.slots.values[n] for n in fleet[self.n_sys : -1]], strict=True)
+        slots = {
+            name: tuple([meant_value(value, self.types[name]) for value in column])
+            for name, column in zip(self.allread, columns, strict=False)
+        }
+        cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
+        return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
+
+    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> Choice:
+        """The choice that an event's effects are; a loop invariant that was false in it is put among the discards."""
+        choice = self._choice(index, pid, self.owns.values[own], seen, done)
+        for line in done.violated[:1]:
+            reason = f"the loop invariant on line {line} is false or has no value"
+            self.discards.append(Discard(pid, index, own, seen, line, reason, choice))
+        return choice
+
+    def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
+        sent = {name.rpartition(".")[0] for name in done.actuators if name.endswith((".target", ".path"))}
+        cleared = {f"{m}.reached": False for m in sent if f"{m}.reached" in robot.sensors}
+        sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
+        actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
+        own = self.own(Own(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
+        slots = seen[pid]
+        if any(name in done.shared for name in self.allread):
+            held = zip(self.allread, self.slots.values[slots], strict=True)
+            slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
+        cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
+        key = tuple([(name, self.key(name, value)) for name, value in cells.items()])
+        return Choice(index, own, slots, self.writes.number(key, cells))
+
+    def _cells(self, before: int, writes: int) -> int:
+        found = self._written.get((before, writes))
+        if found is None:
+            new = self.writes.values[writes]
+            held = zip(self.allwrite, self.cells.values[before], strict=True)
+            found = self._cell_number(tuple([new.get(name, value) for name, value in held]))
+            self._written[before, writes] = found
+        return found
+
+    def _cell_number(self, values: tuple[Any, ...]) -> int:
+        return self.cells.number(tuple(map(self.key, self.allwrite, values)), values)
+
+    def _slots(self, values: tuple[Any, ...]) -> int:
+        return self.slots.number(tuple(map(self.key, self.allread, values)), values)
+
+    def key(self, name: str, value: Any) -> Hashable:
+        """0.0 and -0.0 are equal, and no program need treat them alike."""
+        key: Hashable = repr(value) if with_floats(self.types[name]) else value
+        return key
+
+    def _own(self, robot: Robot) -> Own:
+        ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
+        locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
+        sensors = {name: ports[name] for name in self.sensors}
+        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
+
+    def _taken(self, name: str, value: Any) -> Any:
+        return python_value(value, self.types[name], self.scope, self.names)
+
+    def _meant(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: meant_value(value, self.types[name]) for name, value in values.items()}
+
+
+def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
+    if program.externs:
+        if functions is None or not functions.is_file():
+            missing = functions or f"{functions_module(program)}.py"
+            raise CannotCall(f"{missing}, which has the extern functions, is not there")
+        load(program, functions)
+    name = f"explored{next(_numbers)}"
+    module = sys.modules[name] = ModuleType(name)  # where annotations of records are looked up
+    scope: dict[str, Any] = vars(module)
+    scope["__file__"] = "program.py"
+    exec(compile(program_text(program), "program.py", "exec"), scope)
+    if program.externs:
+        scope["LIBRARY"].load()
+    return scope

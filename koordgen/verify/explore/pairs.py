@@ -1,0 +1,112 @@
+"""Invariants that speak of one robot, or of two, at a time: told for each pair of robots once, whatever the others do.
+
+`forall i in ID: ...` and `forall i, j in ID: ...`, where the formula reads of robots nothing but those two's, is true
+of a fleet when it is true of each of its robots and pairs. What is remembered is whether all such invariants hold of
+one robot, or of two, each known by its own and its slots, with the allwrite variables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from koordgen.build.emit import expr, library
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.node import nodes
+from koordgen.runtime.values.turns import begin
+from koordgen.verify.explore.machine import Machine, Packed
+
+
+class Spread(NamedTuple):
+    """A formula by the robots that it is about, one or two names; whether it reads their pids as numbers."""
+
+    names: tuple[str, ...]
+    body: ir.Expr
+    numbers: bool
+
+
+def spread(formula: ir.Expr) -> Spread | None:
+    """The formula, if it is of that kind."""
+    names, body = [], formula
+    while isinstance(body, ir.Quantified) and body.kind == "forall" and isinstance(body.domain, ir.Ids):
+        names.append(body.name)
+        body = body.body
+    if not 1 <= len(names) <= 2:
+        return None
+    numbers, indices = 0, 0
+    for node in nodes(body):
+        match node:
+            case ir.LocalOf(_, ir.TempRead(at)) | ir.SlotRead(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)):
+                if at not in names:
+                    return None
+                indices += 1
+            case ir.Compare("==" | "!=", ir.TempRead(a), ir.TempRead(b)) if a in names and b in names:
+                indices += 2
+            case (
+                ir.LocalOf() | ir.SlotRead() | ir.PortOf() | ir.SlotsRead() | ir.Ids() | ir.PortCall() | ir.ExternCall()
+            ):
+                return None
+            case ir.TempRead(name) if name in names:
+                numbers += 1
+            case _:
+                pass
+    return Spread(tuple(names), body, numbers > indices)
+
+
+class Pairs:
+    """Those invariants of one machine. `take` puts a fleet's values where compiled formulas read them."""
+
+    def __init__(
+        self, machine: Machine, formulas: Sequence[Spread], fleet: object, take: Callable[[Packed], None]
+    ) -> None:
+        self._fleet, self._take = fleet, take
+        self._numbers = any(f.numbers for f in formulas)
+        self._one = [_compiled(f, machine) for f in formulas if len(f.names) == 1]
+        self._two = [_compiled(f, machine) for f in formulas if len(f.names) == 2]
+        self._n_sys = machine.n_sys
+        self._known: dict[Packed, bool] = {}
+
+    def hold(self, fleet: Packed) -> bool:
+        """Whether all are true."""
+        if not self._one and not self._two:
+            return True
+        n_sys, known, cells = self._n_sys, self._known, fleet[-1]
+        pids = range(n_sys) if self._numbers else [0] * n_sys
+        robots = list(zip(fleet[:n_sys], fleet[n_sys:-1], pids, strict=True))
+        key: Packed
+        for i, robot in enumerate(robots):
+            key = (*robot, cells)
+            if (true := known.get(key)) is None:
+                true = known[key] = self._true(fleet, i, i)
+            if not true:
+                return False
+        if self._two:
+            for i, robot in enumerate(robots):
+                for j, other in enumerate(robots):
+                    if i != j:
+                        key = (*robot, *other, cells)
+                        if (true := known.get(key)) is None:
+                            true = known[key] = self._true(fleet, i, j)
+                        if not true:
+                            return False
+        return True
+
+    def _true(self, fleet: Packed, i: int, j: int) -> bool:
+        self._take(fleet)
+        begin()
+        try:
+            return (i != j or all(holds(self._fleet, i) for holds in self._one)) and all(
+                holds(self._fleet, i, j) for holds in self._two
+            )
+        except Exception:  # whatever functions of the user's raise
+            return False
+
+
+def _compiled(formula: Spread, machine: Machine) -> Callable[..., bool]:
+    names = ", ".join([machine.names.temp(name) for name in formula.names])
+    body = f"def invariant(s, {names}):\n    return {expr.text(formula.body, machine.names)}\n"
+    imports = "\n".join([line for group in library.imports(body) for line in group])
+    scope = dict(machine.scope)
+    exec(compile(f"{imports}\n{body}", "invariants of pairs", "exec"), scope)
+    found: Callable[..., bool] = scope["invariant"]
+    return found

@@ -1,0 +1,289 @@
+"""Every end of a round's program step, from a packed fleet: what each robot may do, in every order that matters.
+
+A plain event reads the store of the round's start, so it does the same wherever in the round it comes. Two events of
+two robots commute unless both write one allwrite variable, or one of them is atomic and reads what the other writes
+(a slot has one writer). Guards that have priority over an event are read at the round's start, so they conflict with
+nothing. Events that commute with all others form the first phase, in which robots step by ascending
+pid; the others form one phase for each group that is linked by such conflicts, in which every order is tried. Any
+order of a round can be sorted into this one by exchanging neighbours that commute, so nothing is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
+
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.node import nodes
+from koordgen.verify.explore.machine import Choice, Machine, Packed
+
+Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
+Came = tuple[Node, int, int]  # from where, by which robot, by which event
+
+
+class Phase(NamedTuple):
+    """Events by index: those that read nothing shared but their robot's own slots, other plain ones, other atomic ones;
+    whether the order of robots makes a difference. `ranked`: some event has another one before it in its `priority:`
+    block."""
+
+    alone: tuple[int, ...]
+    plain: tuple[int, ...]
+    atomic: tuple[int, ...]
+    ordered: bool
+    ranked: bool
+
+
+def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
+    """All events but `idle` ones, by groups that commute with one another. Without `independence` one group in every
+    order."""
+    events = [event for event in range(len(program.events)) if event not in idle]
+    if not independence:
+        return (_phase(program, events, True),) if events else ()
+    allwrite = {v.name for v in program.shared if v.kind == "allwrite"}
+    access = {event: _access(program.events[event]) for event in events}
+
+    def conflict(a: int, b: int) -> bool:
+        (reads, writes), (others_reads, others_writes) = access[a], access[b]
+        return bool(writes & others_writes & allwrite or writes & others_reads or reads & others_writes)
+
+    groups: list[list[int]] = []
+    for event in events:
+        linked = [group for group in groups if any(conflict(event, other) for other in group)]
+        if linked or conflict(event, event):
+            groups = [group for group in groups if group not in linked]
+            groups.append(sorted([event, *(other for group in linked for other in group)]))
+        else:
+            groups.append([event])
+    free = [g[0] for g in groups if len(g) == 1 and not conflict(g[0], g[0])]
+    bound = [_phase(program, group, True) for group in groups if group[0] not in free]
+    return ((_phase(program, free, False),) if free else ()) + tuple(bound)
+
+
+def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
+    alone = tuple([e for e in events if _reads_alone(program, program.events[e])])
+    plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
+    atomic = tuple([e for e in events if e not in alone and e not in plain])
+    return Phase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
+
+
+def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
+    earlier = tuple([other.guard for other in program.earlier(event)])
+    for node in nodes((*earlier, event.guard, event.effect)):
+        match node:
+            case expr.SlotRead(_, expr.Pid()):
+                pass
+            case expr.SlotRead() | expr.SlotsRead() | expr.SharedRead():
+                return False
+            case _:
+                pass
+    return True
+
+
+def _access(event: decl.Event) -> tuple[set[str], set[str]]:
+    """The shared variables that an event reads as they are when it runs, and those that it may write."""
+    reads, writes = set(), set()
+    for node in nodes((event.guard, event.effect)):
+        match node:
+            case expr.SlotRead(name) | expr.SlotsRead(name) | expr.SharedRead(name) if event.lock is not None:
+                reads.add(name)
+            case stmt.OwnSlot(name) | stmt.SharedPlace(name):
+                writes.add(name)
+            case _:
+                pass
+    return reads, writes
+
+
+class Rounds:
+    """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
+    once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
+    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: only rounds that
+    agents can do (`is_order_of_agents` of the semantics)."""
+
+    def __init__(
+        self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
+        stands: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
+    ) -> None:  # fmt: skip
+        self.machine, self.alike, self.stands, self.as_agents = machine, alike, stands, as_agents
+        self.phases = phases(machine.program, independence, idle)
+        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[Choice, ...]] = {}
+        self._prior: dict[tuple[tuple[int, ...], int, int, Packed], tuple[int, ...]] = {}
+        self._alone: dict[Packed, tuple[Choice, ...]] = {}
+
+    def ends(self, fleet: Packed) -> Collection[Node]:
+        """Every fleet that the program's step may leave, skipping included, with who has stepped; the first is that of
+        which nobody has. Every fleet within a round is among them: those who have not stepped yet may skip."""
+        if self.as_agents:
+            return self.ways(fleet)
+        found: list[Node] = [(0, fleet)]
+        n_sys = self.machine.n_sys
+        begun = fleet[n_sys:]
+        for number, phase in enumerate(self.phases):
+            if phase.ordered:
+                found = list(self._every_order(found, number, begun))
+            elif phase.atomic:
+                for pid in range(n_sys):
+                    found += self._of_one(found, number, pid, begun)
+            else:
+                for pid in range(n_sys):  # who has not stepped is as at the round's start
+                    if choices := self._choices(number, pid, fleet, begun):
+                        found += self._all_of_one(found, pid, choices)
+        return found
+
+    def _of_one(self, found: list[Node], number: int, pid: int, begun: Packed) -> list[Node]:
+        return [
+            (mask | 1 << pid, self.machine.applied(at, pid, choice))
+            for mask, at in found
+            if not mask >> pid & 1
+            for choice in self._choices(number, pid, at, begun)
+        ]
+
+    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[Choice, ...]) -> list[Node]:
+        bit, slot, machine = 1 << pid, self.machine.n_sys + pid, self.machine
+        new = []
+        for mask, at in found:
+            if not mask & bit:
+                for choice in choices:
+                    if choice.cells == machine.nothing:
+                        end = (*at[:pid], choice.own, *at[pid + 1 : slot], choice.slots, *at[slot + 1 :])
+                    else:
+                        end = machine.applied(at, pid, choice)
+                    new.append((mask | bit, end))
+        return new
+
+    def _every_order(self, found: list[Node], number: int, begun: Packed) -> Collection[Node]:
+        seen = dict.fromkeys(found)
+        pending = list(seen)
+        robots = range(self.machine.n_sys)
+        for mask, at in pending:  # grows meanwhile
+            for pid in robots:
+                if not mask >> pid & 1:
+                    for choice in self._choices(number, pid, at, begun):
+                        node = (mask | 1 << pid, self.machine.applied(at, pid, choice))
+                        if node not in seen:
+                            seen[node] = None
+                            pending.append(node)
+        return pending
+
+    def ways(self, fleet: Packed) -> dict[Node, Came | None]:
+        """The same, each with how it came about."""
+        if self.as_agents:
+            return self._ways_of_agents(fleet)
+        found: dict[Node, Came | None] = {(0, fleet): None}
+        begun = fleet[self.machine.n_sys :]
+        for number, phase in enumerate(self.phases):
+            if phase.ordered:
+                pending = list(found)
+                for node in pending:  # grows meanwhile
+                    for pid in range(self.machine.n_sys):
+                        pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
+            else:
+                for pid in range(self.machine.n_sys):
+                    for node in list(found):
+                        self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
+        return found
+
+    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Came | None]:
+        """Commits, one at most for each lock, then plain events by ascending pid; all on the round's start, since no
+        commit writes what one under another lock reads."""
+        machine, events = self.machine, self.machine.program.events
+        found: dict[Node, Came | None] = {(0, fleet): None}
+        begun = fleet[machine.n_sys :]
+        first = {pid: machine.first(pid, fleet[pid], begun) for pid in range(machine.n_sys)}
+        chosen = {pid: event for pid, event in first.items() if event is not None}
+        rivals = {
+            pid: sum(1 << other for other, e in chosen.items() if events[e].lock == events[event].lock is not None)
+            for pid, event in chosen.items()
+        }
+        for pid in sorted(chosen, key=lambda pid: (events[chosen[pid]].lock is None, pid)):
+            choices = self._of((chosen[pid],), pid, fleet[pid], begun)
+            for node in list(found):
+                if not node[0] & rivals[pid]:
+                    self._stepped(found, pid, node, choices)
+        return found
+
+    def _stepped(self, found: dict[Node, Came | None], pid: int, node: Node, choices: tuple[Choice, ...]) -> list[Node]:
+        """What one robot's step adds, if it has taken none."""
+        mask, fleet = node
+        if mask >> pid & 1:
+            return []
+        added = []
+        for choice in choices:
+            following = (mask | 1 << pid, self.machine.applied(fleet, pid, choice))
+            if following not in found:
+                found[following] = (node, pid, choice.event)
+                added.append(following)
+        return added
+
+    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[Choice, ...]:
+        phase, slot = self.phases[number], self.machine.n_sys + pid
+        found: tuple[Choice, ...] = ()
+        if phase.alone:
+            key = (number, pid, fleet[pid], fleet[slot])
+            known = self._alone.get(key)
+            if known is None:
+                events = self._having_priority(phase, phase.alone, pid, fleet[pid], begun)
+                known = self._found(self._alone, key, events, pid, fleet[pid], begun)
+            found = known
+        if phase.plain:
+            events = self._having_priority(phase, phase.plain, pid, fleet[pid], begun)
+            found += self._of(events, pid, fleet[pid], begun)
+        if phase.atomic:
+            events = self._having_priority(phase, phase.atomic, pid, fleet[pid], begun)
+            found += self._of(events, pid, fleet[pid], fleet[self.machine.n_sys :])
+        return found
+
+    def _having_priority(
+        self, phase: Phase, events: tuple[int, ...], pid: int, own: int, begun: Packed
+    ) -> tuple[int, ...]:
+        if not phase.ranked:
+            return events
+        key = (events, pid, own, begun)
+        found = self._prior.get(key)
+        if found is None:
+            any_order = self._any_order(*key) if self.alike else key
+            found = self._prior.get(any_order)
+            if found is None:
+                found = self._prior[any_order] = self.machine.prior(events, pid, own, begun)
+            self._prior[key] = found
+        return found
+
+    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+        key = (events, pid, own, seen)
+        found = self._known.get(key)
+        if found is None:
+            any_order = self._any_order(*key) if self.alike else key
+            found = self._known.get(any_order)
+            if found is None:
+                found = self._found(self._known, any_order, events, pid, own, seen)
+            if any_order in self._known:
+                self._known[key] = found
+        return found
+
+    def _found(
+        self, known: dict[Any, tuple[Choice, ...]], key: Any, events: tuple[int, ...], pid: int, own: int, seen: Packed
+    ) -> tuple[Choice, ...]:
+        discards = len(self.machine.discards)
+        found = self.machine.choices(events, pid, own, seen)
+        if self.stands is not None:
+            found = tuple([c._replace(own=self.stands(pid, c.own, _with(seen, pid, c.slots))) for c in found])
+        if len(self.machine.discards) == discards:  # what is discarded is told anew each time
+            known[key] = found
+        return found
+
+    def _any_order(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> Any:
+        others = sorted(seen[:pid] + seen[pid + 1 : -1])
+        return events, -1, own, (seen[pid], *others, seen[-1])
+
+
+def _with(seen: Packed, pid: int, slots: int) -> Packed:
+    return (*seen[:pid], slots, *seen[pid + 1 :])
+
+
+def steps(found: dict[Node, Came | None], node: Node) -> list[tuple[int, int, Packed]]:
+    """How a round came to a node: robot, event and the fleet after it, in their order."""
+    taken: list[tuple[int, int, Packed]] = []
+    while (came := found[node]) is not None:
+        before, pid, event = came
+        taken.append((pid, event, node[1]))
+        node = before
+    return taken[::-1]

@@ -1,0 +1,362 @@
+"""Breadth first over all that a fleet can come to, round by round: a violation found is one of fewest rounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import product
+from typing import NamedTuple
+
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.deadline import OutOfTime
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.property import holds_property
+from koordgen.lang.semantics.step import initial
+from koordgen.verify.explore.environment import Surroundings
+from koordgen.verify.explore.forget import Forgetting, Unread
+from koordgen.verify.explore.invariants import Invariants
+from koordgen.verify.explore.machine import Choice, Discard, Machine, Packed
+from koordgen.verify.explore.rounds import Came, Node, Rounds, steps
+from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
+from koordgen.verify.prove.report.model import Conjunct, failing
+from koordgen.verify.prove.report.reach import Moment
+
+WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
+LOOP = "line "  # prefix of a loop invariant's name; its line follows
+SHOWN = 0.25  # seconds from one view of the progress to the next
+
+
+class Bounds(NamedTuple):
+    """How far to go; None: to the end."""
+
+    rounds: int | None = None
+    states: int | None = None
+    seconds: float | None = None
+
+
+class Progress(NamedTuple):
+    """How far it has come: rounds that are explored whole, different states at rounds' ends, those of them whose rounds
+    are still to be explored, program steps taken, seconds."""
+
+    depth: int
+    states: int
+    waiting: int
+    steps: int
+    seconds: float
+
+
+class Violation(NamedTuple):
+    """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
+    where nothing is, `reason` says what is wrong, and `culprit` is the event (or init) without a result that would come
+    next. `of_agents`: agents can do each round of it (`is_order_of_agents`); `shortest`: where that takes more rounds
+    than the language needs, how many those are."""
+
+    name: str
+    line: int
+    moments: tuple[Moment, ...]
+    failed: Conjunct | None
+    reason: str
+    culprit: Moment | None = None
+    of_agents: bool = True
+    shortest: int | None = None
+
+
+class Result(NamedTuple):
+    """`stopped` says what ended it before all was explored, empty where all was; `unseen` are the events that no robot
+    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike,
+    `forgotten` the locals that nobody reads."""
+
+    violation: Violation | None
+    progress: Progress
+    stopped: str
+    unseen: tuple[decl.Event, ...]
+    unchecked: tuple[str, ...]
+    apart: str
+    forgotten: tuple[str, ...]
+
+
+class _Anew(Exception):
+    """The search begins again, with less forgotten."""
+
+
+class _Over(Exception):
+    """A bound is reached; the message says which."""
+
+
+class Search:
+    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `as_agents`: only rounds
+    that agents can do; then who is who counts, and every event may stand before another one, so nothing is forgotten.
+    `run` raises Lacking."""
+
+    def __init__(
+        self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
+        show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
+        forgetting: bool = True, as_agents: bool = False,
+    ) -> None:  # fmt: skip
+        self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
+        self.invariants = Invariants(machine)
+        alike = symmetry and not as_agents
+        self.apart = (around.apart or distinguishes(machine.program)) if alike else "it is switched off"
+        self.independence, self.deadlock, self.as_agents = independence, deadlock, as_agents
+        self.forgetting = Forgetting(machine) if forgetting and not as_agents else None
+        self._fresh()
+
+    def _fresh(self) -> None:
+        """Nothing is explored yet."""
+        idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
+        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands, self.as_agents)
+        # of robots as they really are
+        self.exact = Rounds(self.machine, self.independence, idle, as_agents=self.as_agents)
+        self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
+        self.within: set[Packed] = set()  # states before the environment's step that were looked at
+        self.begin: dict[Packed, Packed] = {}  # those after init, with those before
+        self._then: dict[Packed, tuple[int, ...]] = {}  # what stands for a robot's own after the environment's step
+        self.lively: set[Packed] = set()  # where no event is enabled, but some will be
+        self.stuck = 0
+        self.steps = self.depth = 0
+        self.waiting = 0
+
+    def run(self) -> Result:
+        """All of it."""
+        self.started = self.shown = self.clock()
+        violation, stopped = None, ""
+        try:
+            violation, stopped = self._settled()
+        except _Over as over:
+            stopped = str(over)
+        except OutOfTime:  # within one event, or one round
+            stopped = self._bound_of_time()
+        except KeyboardInterrupt:
+            stopped = "interrupted"
+        if not violation and not stopped and self.stuck:
+            stopped = f"the assumptions leave sensors no value in {self.stuck} states"
+        unseen = [e for i, e in enumerate(self.machine.program.events) if i not in self.machine.enabled]
+        forgotten = self.forgetting.locals if self.forgetting else ()
+        unchecked = self.invariants.unchecked
+        return Result(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
+
+    def _settled(self) -> tuple[Violation | None, str]:
+        """A search that forgot nothing that matters."""
+        while True:
+            try:
+                return self._explored()
+            except Unread as read:
+                assert self.forgetting is not None
+                self.forgetting.keep(read.name)
+            except _Anew:
+                self.machine.watch({})
+                self.forgetting = None
+            self.machine.discards.clear()
+            self._fresh()
+
+    def progress(self) -> Progress:
+        return Progress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
+
+    def _explored(self) -> tuple[Violation | None, str]:
+        layer: list[Packed] = []
+        for before, after in self._starts():
+            alike = self.alike(after)
+            if self.machine.discards:
+                moments = [Moment(self.machine.state(before, 0), "", None, 0)]
+                return self._discarded(self.machine.discards[0], moments, before, 0), ""
+            if alike not in self.begin:
+                self.begin[alike], self.known[alike] = before, None
+                layer.append(alike)
+                if self.invariants.broken(after):
+                    return self._broken(self._run_to(alike)), ""
+            self._look()
+        if not layer:
+            return None, "no state satisfies `initially`"
+        while layer:
+            if self.depth == self.bounds.rounds:
+                return None, f"the bound of {self.depth} round{'s' * (self.depth != 1)}"
+            following: list[Packed] = []
+            for number, fleet in enumerate(layer):
+                self.waiting = len(layer) - number + len(following)
+                self._look()
+                if violation := self._round(fleet, following):
+                    return violation, ""
+            layer = following
+            self.depth += 1
+        self.waiting = 0
+        return None, ""
+
+    def _round(self, fleet: Packed, following: list[Packed]) -> Violation | None:
+        """One round from one state; new ones go into `following`."""
+        found = self.rounds.ends(fleet)
+        self.steps += len(found) - 1
+        if self.machine.discards:
+            return self._discarded_in(fleet)
+        if self.deadlock and len(found) == 1 and self._dead(fleet):
+            if self.forgetting:
+                raise _Anew
+            return Violation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
+        for _, fleet_then in found:
+            end = self._sorted(fleet_then)
+            if end in self.within:
+                continue
+            self.within.add(end)
+            if self.machine.sensors and self.invariants.broken(end):
+                return self._broken(self._within(fleet, end))
+            moves = 0
+            for moved in self._moved(end):
+                moves += 1
+                alike = self._sorted(moved)
+                if alike not in self.known:
+                    self.known[alike] = fleet
+                    following.append(alike)
+                    if self.invariants.broken(alike):
+                        return self._broken(self._run_to(alike))
+            self.stuck += not moves
+            self._look()
+        return None
+
+    def alike(self, fleet: Packed) -> Packed:
+        """The one that stands for a fleet."""
+        return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
+
+    def _moved(self, end: Packed) -> Iterator[Packed]:
+        """What stands for the fleets after the environment's step."""
+        if self.forgetting is None or not self.machine.sensors:
+            return self.around.moved(end)
+        n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
+        return (owns + seen for owns in product(*[self._stands_then(pid, end[pid], seen) for pid in range(n_sys)]))
+
+    def _stands_then(self, pid: int, own: int, seen: Packed) -> tuple[int, ...]:
+        key = (pid, own, seen[pid])
+        found = self._then.get(key)
+        if found is None:
+            assert self.forgetting is not None
+            then = [self.forgetting.own(pid, new, seen) for new in self.around.moves(pid, own)]
+            found = self._then[key] = tuple(dict.fromkeys(then))
+        return found
+
+    def _sorted(self, fleet: Packed) -> Packed:
+        return fleet if self.apart else sorted_robots(fleet)
+
+    def _starts(self) -> Iterator[tuple[Packed, Packed]]:
+        """Fleets before init and after it."""
+        program, machine = self.machine.program, self.machine
+        rules = [p for p in program.properties if p.kind == "initially"]
+        for sensors in self.around.starts():
+            state = initial(program, machine.n_sys, sensors)
+            try:
+                allowed = all(holds_property(rule, program, state) for rule in rules)
+            except Discarded:
+                allowed = False
+            if allowed:
+                before = machine.packed(state)
+                begun = machine.begun(before)
+                yield from [(before, after) for after in begun] if not machine.discards else [(before, before)]
+
+    def _look(self) -> None:
+        """Shows the progress. Raises _Over where a bound ends the search."""
+        now = self.clock()
+        if now > self.shown + SHOWN:
+            self.shown = now
+            self.show(self.progress())
+        if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
+            raise _Over(self._bound_of_time())
+        if self.bounds.states is not None and len(self.known) > self.bounds.states:
+            raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+
+    def _bound_of_time(self) -> str:
+        return f"the bound of {self.bounds.seconds or 0:g} s"
+
+    def _dead(self, fleet: Packed) -> bool:
+        """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
+        owns = self.machine.owns.values
+        if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
+            return False
+        seen, pending = {fleet}, [fleet]
+        for state in pending:  # grows meanwhile
+            if state in self.lively or len(self.rounds.ends(state)) > 1 or self.machine.discards:
+                self.machine.discards.clear()  # they are met again where that state's round is explored
+                self.lively.add(fleet)
+                return False
+            new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
+            seen.update(new)
+            pending += dict.fromkeys(new)
+        return True
+
+    def _run_to(self, fleet: Packed) -> list[Moment]:
+        """How a state at a round's end came about, by the robots that really took the steps."""
+        return self._way_to(fleet)[0]
+
+    def _way_to(self, fleet: Packed) -> tuple[list[Moment], Packed]:
+        """The same, with the fleet to which it leads."""
+        chain = [fleet]
+        while (parent := self.known[chain[-1]]) is not None:
+            chain.append(parent)
+        before = self.begin[chain[-1]]
+        at = next(after for after in self.machine.begun(before) if self.alike(after) == chain[-1])
+        moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
+        for number, target in enumerate(reversed(chain[:-1]), 1):
+            at = self._step_to(moments, at, target, number)
+        return moments, at
+
+    def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
+        """One round's moments, to a fleet that `target` stands for; yields that fleet."""
+        found = self.exact.ways(at)
+        for node in sorted(found, key=lambda node: node[0].bit_count()):
+            for moved in self.around.moved(node[1]):
+                if self.alike(moved) == target:
+                    moments += self._taken(found, node, number)
+                    if self.machine.sensors:
+                        moments.append(Moment(self.machine.state(moved, number + 1), "(environment)", None, number))
+                    return moved
+        raise InternalError("a state that was explored has no parent that leads to it")
+
+    def _within(self, fleet: Packed, end: Packed) -> list[Moment]:
+        """A run to a state that goes on to a fleet within the round, which `end` stands for."""
+        moments, at = self._way_to(fleet)
+        number = moments[-1].round + 1
+        found = self.exact.ways(at)
+        node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
+        return [*moments, *self._taken(found, node, number)]
+
+    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[Moment]:
+        for pid, event, fleet in steps(found, node):
+            yield Moment(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
+
+    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> Moment:
+        """The moment after an event in which a loop invariant is false."""
+        machine = self.machine
+        if found.event < 0:  # the others run init, too
+            begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
+            return Moment(machine.state(begun), event, None, 0)
+        return Moment(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
+
+    def _broken(self, moments: list[Moment]) -> Violation:
+        """The invariant that is false at the last moment, by the executable semantics."""
+        program, state = self.machine.program, moments[-1].state
+        for property_ in self.invariants.properties:
+            if failed := failing(property_, program, state):
+                return Violation(property_.name, property_.span.line, tuple(moments), failed, "")
+        raise InternalError("an invariant is false as compiled, and true by the executable semantics")
+
+    def _discarded_in(self, fleet: Packed) -> Violation:
+        """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
+        steps before it."""
+        moments, at = self._way_to(fleet)
+        number = moments[-1].round + 1
+        self.machine.discards.clear()
+        found = self.exact.ways(at)
+        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, moments[-1].round + 1
+        if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
+            there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
+            node = min(there, key=lambda node: node[0].bit_count())
+            moments += self._taken(found, node, number)
+            at = node[1]
+        return self._discarded(discard, moments, at, number)
+
+    def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
+        """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
+        event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
+        if found.choice is not None:
+            moments.append(self._false_in(found, found.choice, event, at, number))
+            reason = f"{found.reason} in {event} of robot {found.pid}"
+            return Violation(f"{LOOP}{found.line}", found.line, tuple(moments), None, reason)
+        reason = f"{event} of robot {found.pid} has no result: {found.reason}"
+        culprit = Moment(moments[-1].state, event, found.pid, number)
+        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, culprit)

@@ -1,0 +1,154 @@
+"""What an exploration found, as people read it, as data, and as files that other tools read."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.values import RecordValue
+from koordgen.runtime.values.points import Point
+from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
+from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.table import WIDTH, failed_lines, moment_lines, moments_data, order_told, own
+from koordgen.verify.prove.report.trace import About, run_trace
+
+
+def verdict(result: Result) -> str:
+    """In a word."""
+    if result.violation is not None:
+        return "VIOLATED"
+    return "INCONCLUSIVE" if result.stopped else "HOLDS"
+
+
+def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
+    """For people, at most 100 columns wide."""
+    lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
+    lines += _wrapped(f"{_explored(result)}; {told(result.progress)}")
+    if result.violation is not None:
+        lines += ["", *_violation(result.violation, program), ""]
+    elif result.stopped:
+        lines += _wrapped(f"ended by: {result.stopped}; nothing found so far")
+    else:
+        kept = [p.name for p in program.properties if p.kind == "invariant" and p.name not in result.unchecked]
+        lines += _wrapped(f"kept in every state: {', '.join(kept) or 'the program has no invariants'}")
+    if result.unchecked:
+        lines += _wrapped(f"not checked, since a spec fun has no meaning here: {', '.join(result.unchecked)}")
+    if result.unseen and result.violation is None:
+        never = "never enabled" if not result.stopped else "not enabled so far"
+        lines += _wrapped(f"{never}: {', '.join(f'{e.name} (line {e.span.line})' for e in result.unseen)}")
+    return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+
+
+def told(progress: Progress) -> str:
+    """How much was looked at."""
+    waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
+    states = f"{progress.states} state{'s' * (progress.states != 1)}"
+    return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
+
+
+def _explored(result: Result) -> str:
+    if result.violation is None and not result.stopped:
+        return f"explored completely, to depth {result.progress.depth}"
+    return f"explored to depth {result.progress.depth}"
+
+
+def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
+    rounds = found.moments[-1].round
+    after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
+    what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
+    if found.name.startswith(LOOP):
+        what = f"the loop invariant on {found.name} is violated"
+    fewer = "no run of fewer rounds leads to it"
+    if found.shortest is not None:
+        fewer = f"the language allows it after {found.shortest}, in an order that agents do not have"
+    yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
+    yield from moment_lines(found.moments)
+    if found.failed is not None:
+        yield from failed_lines(found.failed, "", program.path)
+    else:
+        place = f"  ({program.path}:{found.line})" if found.line else ""
+        yield from _wrapped(f"  {found.reason}{place}")
+    yield from _wrapped(order_told(found.of_agents))
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(
+        text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+
+
+def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any]:
+    """As JSON has it."""
+    found = result.violation
+    return {
+        "verdict": verdict(result),
+        "robots": n_sys,
+        "complete": found is None and not result.stopped,
+        "stopped": result.stopped or None,
+        **result.progress._asdict(),
+        "invariants": [p.name for p in program.properties if p.kind == "invariant"],
+        "unchecked": list(result.unchecked),
+        "never_enabled": [{"event": e.name, "line": e.span.line} for e in result.unseen],
+        "robots_alike": not result.apart,
+        "told_apart_by": result.apart or None,
+        "forgotten": list(result.forgotten),
+        "violation": _data(found) if found is not None else None,
+    }
+
+
+def _data(found: Violation) -> dict[str, Any]:
+    return {
+        "what": found.name,
+        "line": found.failed.formula.span.line if found.failed else found.line,
+        "conjunct": spelled(found.failed.formula) if found.failed else found.reason,
+        "rounds": found.moments[-1].round,
+        "shortest": found.moments[-1].round if found.shortest is None else found.shortest,
+        "order_of_agents": found.of_agents,
+        "run": moments_data(found.moments),
+    }
+
+
+def trace(found: Violation, program: decl.Program, about: About) -> str:
+    """The run as koord-trace/1."""
+    line = found.failed.formula.span.line if found.failed else found.line
+    detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
+    culprit = None
+    if found.culprit is not None and found.culprit.pid is not None:
+        culprit = found.culprit.pid, found.culprit.event
+    return run_trace(program, found.moments, (found.name, line, detail), about, culprit)
+
+
+def itf(found: Violation, program: decl.Program) -> str:
+    """The run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
+    robots = range(len(found.moments[0].state.robots))
+    cells = [v.name for v in program.shared if v.kind == "allwrite"]
+    names = [*own(found.moments[0].state, 0), "stopped"]
+    states = []
+    for index, moment in enumerate(found.moments):
+        held = [{**own(moment.state, pid), "stopped": moment.state.robots[pid].stopped} for pid in robots]
+        state: dict[str, Any] = {"#meta": {"index": index}, "step": moment.event or "the beginning"}
+        state |= {"robot": _itf(-1 if moment.pid is None else moment.pid), "round": _itf(moment.round)}
+        state |= {name: {"#map": [[_itf(pid), _itf(held[pid][name])] for pid in robots]} for name in names}
+        states.append(state | {name: _itf(moment.state.store.cells[name]) for name in cells})
+    meta = {"format": "ITF", "source": program.path, "description": f"{found.name} is violated"}
+    document = {"#meta": meta, "vars": ["step", "robot", "round", *names, *cells], "states": states}
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _itf(value: Any) -> Any:
+    match value:
+        case bool() | str():
+            return value
+        case int():
+            return {"#bigint": str(value)}
+        case Point(x, y, z):
+            return {"#tup": [_itf(x), _itf(y), _itf(z)]}
+        case RecordValue(name, fields):
+            return {"#tup": [name, *map(_itf, fields)]}
+        case tuple():
+            return [*map(_itf, value)]
+        case _:
+            return str(value)  # the format has no real numbers

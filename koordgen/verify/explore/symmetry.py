@@ -1,0 +1,103 @@
+"""Whether a program treats all robots alike, so that fleets which differ only in who is who need not be told apart.
+
+It does when nothing in it can tell one pid from another: `pid` occurs only as the index of the robot's own slot; a
+whole allread variable only where the order of its slots does not matter (`in`, `count`, `len`, and of ints `sum`,
+`min`, `max`); names that a quantifier binds to robots only as indices and where two of them are compared for equality,
+in a formula that always has a value. Then every permutation of robots maps each step of the program, of the environment
+(whose values are the same for all robots) and each property onto itself, and a fleet may stand for all of its
+permutations. Anything else, and no two robots are taken as alike: this can only cost states.
+"""
+
+from __future__ import annotations
+
+from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.types import INT, PerRobot
+from koordgen.lang.node import Node, nodes
+from koordgen.lang.source import Span
+from koordgen.verify.explore.machine import Packed
+
+_UNORDERED = frozenset(("count", "len"))
+_OF_INTS = frozenset(("sum", "min", "max"))
+_SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
+
+
+def distinguishes(program: decl.Program) -> str:
+    """What in a program tells robots apart, and its line; empty where it is symmetric."""
+    parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
+    parts += [(a.formula, "an assumption") for m in program.modules for a in m.assumptions]
+    for part, name in [*parts, *[((e.guard, e.effect), e.name) for e in program.events], (program.init, "init")]:
+        span = _apart(part, frozenset())
+        if span is not None:
+            return f"{name}, line {span.line}"
+    return ""
+
+
+def _apart(node: object, robots: frozenset[str]) -> Span | None:
+    """Where robots are told apart; `robots` are the names that stand for one."""
+    match node:
+        case expr.Pid(_, span) | expr.Ids(_, span):
+            return span
+        case expr.SlotsRead(_, _, span):
+            return span
+        case expr.TempRead(name, _, span):
+            return span if name in robots else None
+        case expr.SlotRead(_, expr.Pid()):
+            return None
+        case expr.SlotRead(_, index, _, _, span) | expr.LocalOf(_, index, _, span) | expr.PortOf(_, _, index, _, span):
+            return None if isinstance(index, expr.TempRead) and index.name in robots else span
+        case expr.Compare("==" | "!=", expr.TempRead(a), expr.TempRead(b)) if a in robots and b in robots:
+            return None
+        case expr.Quantified(_, name, expr.Ids(), body, _, span):
+            return span if _may_fail(body) else _apart(body, robots | {name})
+        case expr.Contains(item, expr.SlotsRead()):
+            return _apart(item, robots)
+        case expr.Builtin(name, (expr.SlotsRead(_, type_), *others)) if _unordered(name, type_):
+            return _apart(tuple(others), robots)
+        case stmt.Emit(_, _, items):
+            return _apart(tuple([item for item in items if not _name_of_self(item)]), robots)
+        case _:
+            return _within(node, robots)
+
+
+def _within(node: object, robots: frozenset[str]) -> Span | None:
+    parts = node if isinstance(node, tuple) else ()
+    if isinstance(node, Node) and not isinstance(node, Span):
+        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    for part in parts:
+        found = _apart(part, robots)
+        if found is not None:
+            return found
+    return None
+
+
+def _may_fail(body: expr.Expr) -> bool:
+    """Whether a formula may have no value: who comes first then decides what a quantifier over robots yields."""
+    for node in nodes(body):
+        match node:
+            case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():
+                return True
+            case expr.Binary("/" | "//" | "%" | "**"):
+                return True
+            case expr.Builtin(name, args):
+                if name not in _SAFE and not isinstance(args[0], expr.SlotsRead):
+                    return True
+            case _:
+                pass
+    return False
+
+
+def _unordered(name: str, type_: object) -> bool:
+    ints = isinstance(type_, PerRobot) and type_.element == INT
+    return name in _UNORDERED or (name in _OF_INTS and ints)
+
+
+def _name_of_self(item: expr.Expr) -> bool:
+    """The text of `pid`: it is put out, and nobody reads it."""
+    return isinstance(item, expr.Builtin) and item.name == "str" and isinstance(item.args[0], expr.Pid)
+
+
+def sorted_robots(fleet: Packed) -> Packed:
+    """The one that stands for a fleet and all its permutations."""
+    n_sys = len(fleet) // 2
+    robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
+    return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])

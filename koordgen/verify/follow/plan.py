@@ -1,0 +1,376 @@
+"""A counterexample as rounds that agents can be made to run: which robot tries which event in which of their rounds.
+
+In one round of the semantics atomic events come one after another, each on what those before it left; agents let one
+robot commit for each lock in a round, all on the store of its start. So a round is split: into the fewest agents'
+rounds that, by the agents' own rule, lead to the very state that the trace tells of. Sensors stand still between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import combinations
+from typing import Any, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes, declared
+from koordgen.lang.semantics.state import Robot, State, Store, World
+from koordgen.lang.semantics.step import Step as Done
+from koordgen.lang.semantics.step import applied, enabled, execute, has_priority, initial, run_init, sense
+from koordgen.lang.semantics.values import Value
+from koordgen.verify.follow.exact import agree, fraction, nearest
+from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, Counterexample, Step, Told
+from koordgen.verify.replay.values import BadValue, plain, taken
+
+MOST = 5  # events of a round of which every split is tried; of more only the usual ones
+LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may do what it wants
+
+SHORT = "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals"
+
+Events = Mapping[int, str]  # by pid
+
+
+class CannotFollow(Exception):
+    """The trace is none of this program's, or of what robots cannot do; the message says why, `help` the way out."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class ModelOnly(CannotFollow):
+    """The trace is, or may be, a behaviour of the language that agents do not have."""
+
+
+class Round(NamedTuple):
+    """A round of the agents: what it is part of, what each robot is to try (`free`: what it wants), and how all stands
+    when it begins. `calls` by pid."""
+
+    of: int
+    line: int
+    events: Events
+    free: bool
+    state: State
+    calls: Mapping[int, tuple[Any, ...]]
+
+
+class Plan(NamedTuple):
+    """`rounds` end with one in which nobody acts, for what the last one left. `found`: the agents' round after whose
+    events (0: after `init`) the trace's ending must be found; `environment`: after the environment's step behind it."""
+
+    given: Counterexample
+    rounds: tuple[Round, ...]
+    calls: Mapping[int, tuple[Any, ...]]  # of init
+    found: int
+    environment: bool
+
+
+def document(plan: Plan, program_hash: str) -> dict[str, Any]:
+    """The plan as the sim bundle takes it (targets/sim/follow/plan.py)."""
+    given = plan.given
+    return {
+        "trace": str(given.path),
+        "program_hash": program_hash,
+        "initial": given.initial,
+        "cut": given.cut,
+        "ending": given.ending._asdict() if given.ending else None,
+        "found": plan.found,
+        "environment": plan.environment,
+        "calls": plan.calls,
+        "rounds": [{**each._asdict(), "state": _shown(each.state)} for each in plan.rounds],
+    }
+
+
+def _shown(state: State) -> dict[str, Any]:
+    cells = {name: plain(value) for name, value in state.store.cells.items()}
+    return {
+        "locals": [_plain(robot.locals) for robot in state.robots],
+        "ports": [_plain(robot.ports) for robot in state.robots],
+        "stopped": [robot.stopped for robot in state.robots],
+        "shared": {**{name: plain(held) for name, held in state.store.slots.items()}, **cells},
+    }
+
+
+def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
+    return {name: plain(value) for name, value in values.items()}
+
+
+def planned(program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]) -> Plan:
+    """Raises CannotFollow."""
+    return _Planner(program, given, externs).plan()
+
+
+class _Planner:
+    def __init__(
+        self, program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]
+    ) -> None:
+        self.program, self.given, self.externs = program, given, externs
+        self.types = declared(program)
+        self.events = {event.name: event for event in program.events}
+        self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
+        self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
+        self.commanded: set[tuple[int, str]] = set()  # robots, and their modules whose target or path was written
+        self.rounds: list[Round] = []
+        self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
+
+    def plan(self) -> Plan:
+        first, *steps = self.given.steps
+        if first.event != BEGINNING:
+            raise self.broken(first, f"it begins with {first.event}")
+        state = self.begun(first)
+        calls: Mapping[int, tuple[Any, ...]] = {}
+        if self.given.initial and steps:
+            if steps[0].event != INIT:
+                raise self.broken(steps[0], f"{steps[0].event} comes before init")
+            calls = _calls([steps[0]])
+            state, done = run_init(self.program, state, self.world(calls))
+            self.note(done)
+            self.compare(steps.pop(0), state)
+        number = last = 0
+        for of, group in _by_round(steps):
+            state = self.round(of, group, state)
+            number, last = len(self.rounds), of
+        environment = bool(steps) and steps[-1].event == ENVIRONMENT
+        ending, line = self.given.ending, self.given.steps[-1].line
+        if ending is not None and ending.event and ending.event != INIT:
+            if ending.event not in self.events:
+                raise CannotFollow(f"{self.given.path}: the program has no event {ending.event}")
+            self.rounds.append(Round(last + environment, line, {ending.pid: ending.event}, False, state, {}))
+            number, environment = len(self.rounds), False
+        free = ending is not None and ending.name == "(deadlock)"
+        for _ in range(LATEST if free else 1):
+            self.rounds.append(Round(last + 1, line, {}, free, state, {}))
+        return Plan(self.given, tuple(self.rounds), calls, number, environment)
+
+    def round(self, of: int, group: list[Step], state: State) -> State:
+        """One round of the trace; the state after it."""
+        acts = [step for step in group if step.event != ENVIRONMENT]
+        moved = [step for step in group if step.event == ENVIRONMENT]
+        if len(moved) > 1 or (moved and group[-1] is not moved[0]):
+            raise self.broken(moved[0], "the environment's step is not the last one of its round")
+        if unknown := next((step for step in acts if step.event not in self.events), None):
+            raise self.broken(unknown, f"the program has no event {unknown.event}")
+        if len({step.pid for step in acts}) < len(acts):
+            raise self.broken(acts[-1], f"a robot takes two steps in round {of}")
+        calls = _calls(acts)
+        blocks = self.split(acts, state, self.world(calls)) if acts else [(acts, state)]
+        for block, after in blocks:
+            events = {step.pid: step.event for step in block}
+            line = block[0].line if block else group[0].line
+            self.rounds.append(Round(of, line, events, False, state, {pid: calls.get(pid, ()) for pid in events}))
+            self.note(self.done(block, state, self.world(calls)) or ())
+            state = after
+        if moved:
+            state = sense(state, [self.sensed(moved[0], told, pid) for pid, told in enumerate(moved[0].robots)])
+            self.compare(moved[0], state)
+        return state
+
+    def split(self, acts: list[Step], state: State, world: World) -> list[tuple[list[Step], State]]:
+        """The fewest agents' rounds that come to where the trace does, each with the state after it."""
+        off = ""
+        for blocks in self.splits(acts):
+            at, found = state, []
+            for block in blocks:
+                done = self.done(block, at, world)
+                if done is None:
+                    break
+                for step in done:
+                    at = applied(at, step)
+                found.append((block, at))
+            else:
+                off = self.differs(acts[-1], at)
+                if not off:
+                    return found
+        names = ", ".join(f"{step.event} of robot {step.pid}" for step in acts)
+        place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
+        if self.rounded:
+            raise ModelOnly(
+                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not come to what the trace "
+                "says" + (f" ({off})" if off else ""),
+                SHORT,
+            )
+        if not self.given.initial and self.events[acts[0].event].lock is None:
+            raise ModelOnly(
+                f"{place}: {names} does not come to what the trace says ({off})" if off
+                else f"{place}: {names} has no result in the trace's first state",
+                "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
+                "others have written since; robots begin with a round",
+            )  # fmt: skip
+        after = self.stepped(acts, state, world)
+        kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
+        raise kind(
+            f"{place}: {names}, in this order: no rounds of agents come to what the trace says"
+            + (f" ({off})" if off else ""),
+            "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: what "
+            "needs another order happens in the model only",
+        )
+
+    def stepped(self, acts: list[Step], state: State, world: World) -> State | None:
+        """Where the language's round leads, in the very order of the steps; None where one of them has no result."""
+        at = state
+        for step in acts:
+            seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
+            done = self.done([step], seen, world, begun=state)
+            if done is None:
+                return None
+            at = applied(at, done[0])
+        return at
+
+    def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
+        """Ways to spread a round's events over agents' rounds, the fewest first: all at once; the plain ones at once
+        amid the atomic ones, in their order; of few events every other way."""
+        plain_ones = [step for step in acts if self.events[step.event].lock is None]
+        atomic = [step for step in acts if step not in plain_ones]
+        yield [acts]
+        singles = [[step] for step in atomic]
+        for before in range(len(atomic) + 1 if plain_ones else 0):
+            if before < len(atomic):
+                yield [*singles[:before], [atomic[before], *plain_ones], *singles[before + 1 :]]
+            yield [*singles[:before], plain_ones, *singles[before:]]
+        if not plain_ones:
+            yield singles
+        if len(acts) <= MOST:
+            yield from sorted(_partitions(acts), key=len)
+
+    def done(self, block: list[Step], state: State, world: World, begun: State | None = None) -> list[Done] | None:
+        """What agents do in one round, as it counts, all on the store of its start; None where one of them does not, or
+        two want one lock. `begun`: where the round began, if not in `state`; that tells which events have priority."""
+        locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
+        if len(set(locks)) < len(locks):
+            return None
+        found = []
+        for step in sorted(block, key=lambda step: (self.events[step.event].lock is None, step.pid)):
+            event = self.events[step.event]
+            try:
+                first = has_priority(self.program, event, begun or state, step.pid, world)
+                if state.robots[step.pid].stopped or not first:
+                    return None
+                if not enabled(self.program, event, state, step.pid, world):
+                    return None
+            except Discarded:
+                return None
+            outcome = execute(self.program, event.effect, state, step.pid, world)
+            if isinstance(outcome, Discarded):
+                return None
+            found.append(Done(step.pid, event.name, outcome))
+        return found
+
+    def begun(self, first: Step) -> State:
+        """The trace's first state."""
+        sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
+        state = initial(self.program, self.given.n_sys, sensors)
+        if self.given.initial:
+            self.compare(first, state)
+            return state
+        robots, slots = [], {name: list(held) for name, held in state.store.slots.items()}
+        cells = dict(state.store.cells)
+        for pid, told in enumerate(first.robots):
+            values = self.values(first, {**told.locals, **told.actuators, **told.sensors, **told.shared})
+            own = {name: values[name] for name in state.robots[pid].locals}
+            ports = {name: values[name] for name in state.robots[pid].ports}
+            robots.append(Robot(own, ports, told.stopped))
+            for name, held in slots.items():
+                held[pid] = values[name]
+            cells = {name: values[name] for name in cells}
+        store = Store({name: tuple(held) for name, held in slots.items()}, cells)
+        state = state._replace(robots=tuple(robots), store=store, round=1)
+        self.compare(first, state)
+        return state
+
+    def sensed(self, step: Step, told: Told, pid: int) -> dict[str, Value]:
+        if set(told.sensors) != self.sensors:
+            raise self.broken(step, f"its sensors are {', '.join(told.sensors) or 'none'}")
+        known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
+        return {**self.values(step, told.sensors), **known}
+
+    def values(self, step: Step, told: Mapping[str, Any]) -> dict[str, Value]:
+        try:
+            return {name: taken(value, self.types[name], nearest) for name, value in told.items()}
+        except BadValue as error:
+            raise CannotFollow(
+                f"{self.given.path}:{step.line}: {error} that robots have, nor near to one", SHORT
+            ) from None
+        except KeyError as error:
+            raise self.broken(step, f"the program has no {error}") from None
+
+    def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
+        """Callable ports answer as the trace says."""
+
+        def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+            given = [plain(arg) for arg in args]
+            for name, asked, said in calls.get(pid, ()):
+                if name == port and self.agree(asked, given):
+                    return taken(said, self.types[port], nearest)
+            raise LookupError(f"{port} was not asked that")
+
+        return World(self.externs, answer)
+
+    def note(self, done: Iterable[Done]) -> None:
+        for step in done:
+            if isinstance(step.outcome, Writes):
+                written = [n.rpartition(".") for n in step.outcome.ports]
+                self.commanded |= {(step.pid, module) for module, _, port in written if port in ("target", "path")}
+
+    def unset(self, pid: int) -> set[str]:
+        """The sensors `reached` of a robot that was commanded nothing yet: on robots they are true then, whatever a
+        proof's counterexample says."""
+        goals = [name.rpartition(".") for name in self.actuators if name.endswith((".target", ".path"))]
+        modules = {module for module, _, _ in goals if (pid, module) not in self.commanded}
+        return {f"{module}.reached" for module in modules} & self.sensors
+
+    def compare(self, step: Step, state: State) -> None:
+        if difference := self.differs(step, state):
+            raise CannotFollow(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
+
+    def differs(self, step: Step, state: State) -> str:
+        """How a state is not what the trace says of it; empty where it is."""
+        for pid, told in enumerate(step.robots):
+            robot = state.robots[pid]
+            meant = {**robot.locals, **robot.ports, **state.store.cells}
+            meant |= {name: held[pid] for name, held in state.store.slots.items()}
+            said = {**told.locals, **told.actuators, **told.sensors, **told.shared}
+            said |= {name: robot.ports[name] for name in self.unset(pid)}
+            for name in [*meant, *[n for n in said if n not in meant]]:
+                if name not in meant or name not in said or not self.agree(said[name], plain(meant[name])):
+                    values = f"{said.get(name)!r} in the trace and {plain(meant.get(name))!r} by the program"
+                    return f"{name} of robot {pid} is {values}"
+            if told.stopped != robot.stopped:
+                return f"robot {pid} has{'' if told.stopped else ' not'} stopped in the trace"
+        return ""
+
+    def agree(self, told: Any, meant: Any) -> bool:
+        return agree(told, meant, bool(self.rounded))
+
+    def broken(self, step: Step, why: str) -> CannotFollow:
+        return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is no counterexample of this program")
+
+
+def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
+    group: list[Step] = []
+    for step in steps:
+        if group and (step.round != group[0].round or group[-1].event == ENVIRONMENT):
+            yield group[0].round, group
+            group = []
+        group.append(step)
+    if group:
+        yield group[0].round, group
+
+
+def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
+    found: dict[int, tuple[Any, ...]] = {}
+    for step in steps:
+        for pid, told in enumerate(step.robots):
+            if told.calls:
+                found[pid] = (*found.get(pid, ()), *told.calls)
+    return found
+
+
+def _partitions(acts: list[Step]) -> Iterator[list[list[Step]]]:
+    """Every way to do them in several rounds."""
+    if not acts:
+        yield []
+        return
+    for size in range(len(acts), 0, -1):
+        for chosen in combinations(acts, size):
+            for rest in _partitions([step for step in acts if step not in chosen]):
+                yield [list(chosen), *rest]

@@ -1,0 +1,152 @@
+"""A counterexample's trace (koordgen/verify/prove/report/trace.py writes it) as steps of a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from koordgen.verify.replay.trace import FORMAT, BadTrace, Trace, records
+
+BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
+GROUPS = ("sensors", "shared", "actuators", "locals")
+MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
+
+Values = Mapping[str, Any]  # by name, in JSON
+
+
+class Told(NamedTuple):
+    """What a step's record says of one robot after it; `calls` of callable ports: port, arguments, answer."""
+
+    sensors: Values
+    shared: Values
+    actuators: Values
+    locals: Values
+    stopped: bool
+    calls: tuple[tuple[str, list[Any], Any], ...]
+
+
+class Step(NamedTuple):
+    """`line` is that of its first record; `event` BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`, which is -1
+    else."""
+
+    line: int
+    round: int
+    event: str
+    pid: int
+    robots: tuple[Told, ...]
+
+
+class Ending(NamedTuple):
+    """What is violated after the last step, by the trace. `pid` and `event`: what comes next and has no result; -1:
+    nothing is to come."""
+
+    name: str
+    line: str
+    detail: str
+    pid: int = -1
+    event: str = ""
+
+
+class Counterexample(NamedTuple):
+    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON, `given` names those
+    that were not as the program has them. Without `ending` it is cut off, or
+    of a run in which nothing is violated; `cut` is the line from which on it cannot be read, 0 where it can."""
+
+    path: Path
+    app: str
+    program_hash: str
+    initial: bool
+    n_sys: int
+    params: Values
+    given: tuple[str, ...]
+    steps: tuple[Step, ...]
+    ending: Ending | None
+    cut: int
+
+
+def read(path: Path) -> Counterexample:
+    """As much as is there. Raises BadTrace."""
+    blank = Trace(path, "", "", (), False, 0)
+    found = records(blank)
+    number, header = next(found, (0, {}))
+    if header.get("kind") != "header" or header.get("format") != FORMAT:
+        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    if header.get("counterexample") not in ("run", "step"):
+        raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
+    try:
+        app, program_hash = str(header["app"]), str(header["program_hash"])
+        n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])
+        if not all(name in params for name in given):
+            raise ValueError(f"given {given!r}")
+        if not 1 <= n_sys <= MOST_ROBOTS:
+            raise ValueError(f"{n_sys} robots")
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
+    steps, ending, cut = _steps(path, found, n_sys)
+    cut = blank.cut or cut
+    if not steps:
+        raise BadTrace(f"{path}: there is no whole step in it")
+    initial = header["counterexample"] == "run"
+    return Counterexample(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
+
+
+def _steps(
+    path: Path, found: Iterator[tuple[int, dict[str, Any]]], n_sys: int
+) -> tuple[tuple[Step, ...], Ending | None, int]:
+    """The whole steps, what is violated, and the line from which on a step is not whole."""
+    steps: list[Step] = []
+    part: list[dict[str, Any]] = []
+    first = 0
+    for number, record in found:
+        try:
+            if record.get("kind") == "violation":
+                if part:
+                    raise ValueError("a step lacks robots")
+                return tuple(steps), _ending(record, n_sys), 0
+            if record.get("kind") != "round":
+                continue
+            first = first if part else number
+            if record["pid"] != len(part):
+                raise ValueError(f"robot {record['pid']!r} where robot {len(part)} is expected")
+            part.append(record)
+            if len(part) == n_sys:
+                steps.append(_step(first, part))
+                part = []
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise BadTrace(f"{path}:{number}: a broken record: {error!r}") from None
+    return tuple(steps), None, first if part else 0
+
+
+def _step(line: int, part: list[dict[str, Any]]) -> Step:
+    event, round_ = part[0]["step"], part[0]["round"]
+    if type(event) is not str or type(round_) is not int or round_ < 0:
+        raise ValueError(f"step {event!r} of round {round_!r}")
+    if any((record["step"], record["round"]) != (event, round_) for record in part):
+        raise ValueError("robots of one step tell of different ones")
+    acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
+    alone = event not in (BEGINNING, INIT, ENVIRONMENT)
+    if alone and len(acting) != 1:
+        raise ValueError(f"{event} is an event of one robot, here it is of {len(acting)}")
+    return Step(line, round_, event, acting[0] if alone else -1, tuple(map(_told, part)))
+
+
+def _told(record: dict[str, Any]) -> Told:
+    sensors, shared, actuators, locals_ = (_table(record[group]) for group in GROUPS)
+    calls = tuple([(port, list(args), answer) for port, args, answer in record.get("calls", ())])
+    if any(type(port) is not str for port, _, _ in calls):
+        raise ValueError("calls")
+    return Told(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
+
+
+def _ending(record: dict[str, Any], n_sys: int) -> Ending:
+    pid, event = record.get("pid", -1), record.get("event", "")
+    if type(pid) is not int or not -1 <= pid < n_sys or type(event) is not str:
+        raise ValueError(f"robot {pid!r}, event {event!r}")
+    return Ending(str(record["name"]), str(record["line"]), str(record["detail"]), pid, event)
+
+
+def _table(value: Any) -> Values:
+    if not isinstance(value, dict):
+        raise TypeError(f"{value!r} where a table is expected")
+    return value

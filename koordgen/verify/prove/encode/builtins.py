@@ -1,0 +1,171 @@
+"""Builtins as terms: exact where the logic has them; else functions of which a few true things are told."""
+
+from __future__ import annotations
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.builtins import UPDATE_SIGNATURES
+from koordgen.lang.ir.types import INT, MapOf, Sized
+from koordgen.verify.prove.encode.encoder import ExprEncoder
+from koordgen.verify.prove.encode.fold import folded
+from koordgen.verify.prove.encode.geometry import path_of
+from koordgen.verify.prove.encode.quantifier import proxy
+from koordgen.verify.prove.encode.values import Changed, Choice, Collection, Fleet, Known, Val, pick, truth
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Term
+
+_ZERO, _ONE = t.integer(0), t.integer(1)
+_MADE = ("Point", "Pose", "Grid", "Rect", "Ball")
+_LISTS = ("sorted", "reversed", "keys", "values", "items", "union", "intersection", "difference")
+
+
+def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+    """A builtin of evaluated arguments."""
+    name, line = node.name, node.span.line
+    if name in _MADE:
+        return args
+    if name in UPDATE_SIGNATURES and name != "map_at":
+        return _updated(e, node, args)
+    match name:
+        case "distance":
+            return e.geometry.distance(*args)
+        case "path_distance":
+            return e.geometry.path_distance(path_of(args[0]), path_of(args[1]))
+        case "clear":
+            return _clear(e, args)
+        case "abs":
+            x = truth(args[0])
+            zero = _ZERO if x.sort is t.INT else t.real(0)
+            return t.ite(t.at_most(zero, x), x, t.negate(x))
+        case "min" | "max":
+            a, b = truth(args[0]), truth(args[1])
+            return t.ite(t.less(b, a) if name == "min" else t.less(a, b), b, a)
+        case "floor" | "ceil" | "round":
+            return _whole(name, truth(args[0]))
+        case "sqrt":
+            return _root(e, truth(args[0]), line)
+        case "center":
+            return _center(args[0])
+        case "len":
+            return _length(e, node, args[0])
+        case "first" | "last":
+            xs = path_of(args[0])
+            e.room.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of what has elements", line)
+            return _end(e, xs, name == "first")
+        case "index":
+            e.room.demand(e.lists.has(path_of(args[0]), args[1]), "what is looked for is there", line)
+            return e.lists.place(path_of(args[0]), args[1])
+        case "sum" if isinstance(args[0], Fleet):
+            zero = _ZERO if node.type is INT else t.real(0)
+            return folded(e, args[0], "sum", (), truth, zero)
+        case "count" if isinstance(args[0], Fleet):
+            wanted = args[1]
+            one = lambda x: t.ite(e.lists.same(x, wanted), _ONE, _ZERO)  # noqa: E731
+            return folded(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
+        case "get" | "map_at":
+            return _looked_up(e, node, args)
+        case _ if name in _LISTS and not isinstance(args[0], Fleet):
+            return Changed(name, path_of(args[0]), args[1:], node.type)
+        case _:
+            return _opaque(e, node, args)
+
+
+def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
+    if isinstance(xs, Choice):
+        return pick(xs.condition, _end(e, xs.then, first), _end(e, xs.orelse, first))
+    return e.lists.element(xs, _ZERO if first else t.subtract(e.lists.length(xs), _ONE))
+
+
+def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+    """# SOUND: a function of which nothing is told but that equal arguments give equal results."""
+    if node.name in ("asin", "acos", "log"):
+        x, one = truth(args[0]), t.real(1)
+        inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
+        e.room.demand(inside, f"{node.name} within its domain", node.span.line)
+    elif node.name in ("tan", "exp", "cell"):
+        e.room.note(f"{node.name}: any value; that it has one is not shown")
+    return e.apply(node.name, f"{node.name}@", args, node.type)
+
+
+def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+    xs, line = path_of(args[0]), node.span.line
+    room = e.room
+    match node.name:
+        case "updated" | "without":
+            index = truth(args[1])
+            room.demand(t.and_(t.at_most(_ZERO, index), t.less(index, e.lists.length(xs))), "index in range", line)
+        case "inserted":
+            index = truth(args[1])
+            room.demand(t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line)
+        case "popped":
+            room.demand(t.less(_ZERO, e.lists.length(xs)), "pop of what has elements", line)
+        case "removed" | "set_without" | "map_without":
+            room.demand(e.lists.has(xs, args[1]), "what is removed is there", line)
+        case "cleared":
+            return Known((), node.type)
+    if isinstance(xs, Known) and node.name == "appended" and len(xs.items) < 8:
+        return Known((*xs.items, args[1]), node.type)
+    return Changed(node.name, xs, args[1:], node.type)
+
+
+def _clear(e: ExprEncoder, args: tuple[Val, ...]) -> Val:
+    """Whether a path keeps more than eps metres away from each of several."""
+    path, others, eps = path_of(args[0]), path_of(args[1]), truth(args[2])
+
+    def far(other: Val) -> Term:
+        return t.less(eps, e.geometry.path_distance(path, path_of(other)))
+
+    if isinstance(others, Known):
+        return t.all_of([far(other) for other in others.items])
+    long = e.lists.length(others)
+    return proxy(
+        e.room,
+        lambda i: t.implies(t.and_(t.at_most(_ZERO, i), t.less(i, long)), far(e.lists.element(others, i))), "other",
+        isinstance(others, Fleet), not isinstance(others, Fleet),
+    )  # fmt: skip
+
+
+def _whole(name: str, x: Term) -> Term:
+    if name == "floor":
+        return t.to_int(x)
+    if name == "ceil":
+        return t.negate(t.to_int(t.negate(x)))
+    below = t.to_int(x)  # halves go to the even neighbour, as in Python
+    part = t.subtract(x, t.to_real(below))
+    half = t.real(0.5)
+    even = t.equals(t.remainder(below, t.integer(2)), _ZERO)
+    up = t.or_(t.less(half, part), t.and_(t.equals(part, half), t.not_(even)))
+    return t.ite(up, t.add(below, _ONE), below)
+
+
+def _root(e: ExprEncoder, x: Term, line: int) -> Term:
+    zero = t.real(0)
+    e.room.demand(t.at_most(zero, x), "sqrt of what is not negative", line)
+    found = t.apply(t.Function("sqrt@", (t.REAL,), t.REAL), x)
+    square = t.and_(t.at_most(zero, found), t.equals(t.multiply(found, found), x))
+    e.room.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)
+    return found
+
+
+def _center(cell: Val) -> Val:
+    assert isinstance(cell, tuple)
+    x, y, size = (truth(part) for part in cell)
+    half = t.real(0.5)
+    return tuple([t.multiply(t.add(t.to_real(place), half), size) for place in (x, y)] + [t.real(0)])
+
+
+def _length(e: ExprEncoder, node: ir.Builtin, xs: Val) -> Term:
+    if isinstance(node.args[0].type, Sized):
+        found = truth(e.room.function("string.len", (truth(xs),), INT))
+        e.room.fact(t.at_most(_ZERO, found), "no length is negative", node.span.line)
+        return found
+    return e.lists.length(path_of(xs))
+
+
+def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
+    xs, key = path_of(args[0]), args[1]
+    assert isinstance(node.args[0].type, MapOf)
+    held = e.lists.has(xs, key)
+    if node.name == "map_at":
+        e.room.demand(held, "the map has that key", node.span.line)
+        return e.lists.value(xs, key)
+    return pick(held, e.lists.value(xs, key), args[2])

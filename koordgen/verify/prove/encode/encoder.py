@@ -1,0 +1,44 @@
+"""Interfaces of the expression encoder: what names mean at one place, and the encoder as its parts see it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.geometry import Geometry
+from koordgen.verify.prove.encode.lists import Lists
+from koordgen.verify.prove.encode.room import Room
+from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.smt.term import Term
+
+
+class Scope(Protocol):
+    """What a name means at one place."""
+
+    pid: Term
+    temps: dict[str, Val]
+
+    def slot(self, name: str, index: Term) -> Val: ...
+    def slots(self, name: str) -> Fleet: ...
+    def cell(self, name: str) -> Val: ...
+    def local(self, name: str) -> Val: ...
+    def port(self, name: str, primed: bool) -> Val: ...
+    def local_of(self, name: str, robot: Term) -> Val: ...
+    def port_of(self, name: str, robot: Term) -> Val: ...
+    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val: ...
+
+
+class ExprEncoder(Protocol):
+    """The encoder of expressions as builtins, sums and quantifiers call it. `strict`: whether a quantifier is to be
+    shown to have a value."""
+
+    room: Room
+    lists: Lists
+    geometry: Geometry
+    strict: bool
+
+    def value(self, node: ir.Expr, scope: Scope) -> Val: ...
+    def term(self, node: ir.Expr, scope: Scope) -> Term: ...
+    def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]: ...
+    def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val: ...

@@ -1,0 +1,129 @@
+"""Functions: `fun`s are run on symbols, extern functions known by their contracts, spec functions by axioms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.verify.prove.encode.expr import Encoder
+from koordgen.verify.prove.encode.loop import WayOf, temps_of
+from koordgen.verify.prove.encode.room import Room, symbol
+from koordgen.verify.prove.encode.stmt import Frame, Head
+from koordgen.verify.prove.encode.tree import nodes
+from koordgen.verify.prove.encode.values import Changed, Choice, Fleet, Known, Named, Val, pick
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.term import Term
+
+
+class Functions:
+    """The functions of a program in one room. `know` is told the head of each loop that is cut. `brief`: of what such
+    loops leave behind nothing is told, which most proofs do not need."""
+
+    def __init__(self, room: Room, params: dict[str, Val], know: Callable[[Head], None], brief: bool) -> None:
+        program = room.program
+        self.room, self.know, self.brief = room, know, brief
+        self.functions = {f.name: f for f in program.functions}
+        self.externs = {f.name: f for f in program.externs}
+        self.runs: dict[tuple[object, ...], tuple[Val, list[Fact], tuple[Val, ...]]] = {}
+        self.closed: dict[str, bool] = {}
+        self.encoder = Encoder(room, params, self.call)
+
+    def call(self, name: str, args: tuple[Val, ...], node: ir.Expr) -> Val:
+        if name in self.functions:
+            return self.run(self.functions[name], args)
+        if name in self.externs:
+            return self.extern(self.externs[name], args, node)
+        return self.encoder.apply(name, symbol(name), args, node.type)
+
+    def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
+        """The result of a call; that its operations have values is demanded where the call is made. Calls with the same
+        arguments are one run. SOUND: a run that calls no extern function says nothing of the place of the call."""
+        if not self.is_closed(function):
+            return self.result(function, args)
+        room, key = self.room, (function.name, *map(_identity, args))
+        if key not in self.runs:
+            with room.outermost(), room.aside() as demands:
+                self.runs[key] = self.result(function, args), demands, args
+        result, demands, _ = self.runs[key]
+        for demand in demands:
+            room.demand(demand.term, demand.label, demand.line)
+        return result
+
+    def is_closed(self, function: decl.Function) -> bool:
+        """Return whether a run calls no extern function."""
+        if function.name not in self.closed:
+            called = [n for n in nodes(function.block) if isinstance(n, (ir.Call, ir.ExternCall))]
+            functions = [self.functions.get(n.name) for n in called]
+            self.closed[function.name] = all(f is not None and self.is_closed(f) for f in functions)
+        return self.closed[function.name]
+
+    def result(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
+        frame = self.frame(function, args)
+        depth = len(self.room.path)
+        frame.block(function.block)
+        found: Val | None = None
+        for left in reversed(frame.exits):
+            assert left.value is not None
+            found = left.value if found is None else pick(t.all_of(left.path[depth:]), left.value, found)
+        if not frame.heads and found is not None:
+            return found
+        # SOUND: of a loop that is cut only the facts at its head are known. What the function yields is one value for
+        # equal arguments, and one of those that the facts allow.
+        self.room.note(f"{function.name}: of what its loops write only invariants and facts about turns are known")
+        result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
+        if found is not None and not self.brief:
+            self.room.given(self.encoder.lists.same(result, found), f"result of {function.name}", function.span.line)
+        return result
+
+    def frame(self, function: decl.Function, args: tuple[Val, ...], way: WayOf | None = None) -> Frame:
+        """A run of a function that is yet to begin."""
+        parameters = {p.name: p.type for p in function.parameters}
+        types = {**parameters, **temps_of(function.block)}
+        frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, way)
+        frame.brief = self.brief
+        frame.temps = dict(zip(parameters, args, strict=True))
+        return frame
+
+    def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
+        """What it requires is demanded. What it ensures holds where the call is made and has a result: of one that
+        breaks its contract the event is discarded."""
+        result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
+        required, ensured = self.contract(function, args, result)
+        for formula in required:
+            self.room.demand(formula, f"{function.name} requires", node.span.line)
+        for formula, line in ensured:
+            label = f"contract of {function.name}"
+            self.room.given(t.implies(t.all_of(required), formula), label, line)
+        return result
+
+    def contract(
+        self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
+    ) -> tuple[list[Term], list[tuple[Term, int]]]:
+        """Return what a call requires, and what its result then satisfies, with the lines that say so."""
+        types = {p.name: p.type for p in function.parameters}
+        frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
+        frame.temps = dict(zip(types, args, strict=True))
+        required = [self.encoder.defined(formula, frame) for formula in function.requires]
+        frame.temps["result"] = result
+        return required, [(self.encoder.defined(formula, frame), formula.span.line) for formula in function.ensures]
+
+
+def _identity(value: Val) -> object:
+    """Return a key of an argument: arguments with equal keys have equal values, whatever the state."""
+    match value:
+        case Fleet(name):
+            return "fleet", name
+        case Named(term):
+            return term
+        case tuple():
+            return tuple(map(_identity, value))
+        case Known() | Choice() | Changed():
+            return id(value)
+        case _:
+            return value
+
+
+def _nothing(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+    raise AssertionError("a function calls no port")

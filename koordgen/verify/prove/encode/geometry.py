@@ -1,0 +1,242 @@
+"""Distances of points and of paths: functions of which lemmas are told, each true of runtime/values/geometry.py.
+
+A path is not looked into: only its first and last points are, and paths of one point. Squares are told where
+coordinates are reckoned with elsewhere (`measured`), or where they are asked for; all else is linear.
+
+`brief` tells little, of which most proofs need no more: what lemmas bring forth has none of its own, but for what it
+says of distances that were met already; and instead of being told that a distance is symmetric, each pair is always
+written the same way round. Mostly, that is: equal pairs of which that is not known when they are written need not be.
+"""
+
+from __future__ import annotations
+
+from koordgen.lang.ir.types import POINT, list_of
+from koordgen.verify.prove.encode.lists import Lists
+from koordgen.verify.prove.encode.room import Room
+from koordgen.verify.prove.encode.types import build
+from koordgen.verify.prove.encode.values import Choice, Collection, Known, Val
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Function, Term
+
+_ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
+DISTANCES = "distances of points: never negative, zero between equal points only, told by squares where that is needed"
+PATHS = (
+    "path_distance: symmetric; never negative; of two paths of one point the distance of the points; not above the "
+    "distance of an end of the path; less by d at most when the point of a path of one point moves by d; not above the "
+    "way past a third point"
+)
+Triple = tuple[Term, ...]
+
+
+class Geometry:
+    """The distances that were met in one room."""
+
+    def __init__(self, room: Room, lists: Lists) -> None:
+        self.room, self.lists = room, lists
+        self.distances: dict[tuple[Triple, Triple], Term] = {}
+        self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # of those that the program speaks of
+        self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
+        self.points: dict[Term, Triple] = {}  # paths of one point
+        self.given: set[Term] = set()  # paths that the program speaks of
+        self.singles: dict[Triple, Term] = {}
+        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with so many neighbours
+        self.others: dict[Term, Collection] = {}  # paths that are but terms
+        self.measured = False
+        self.squared: set[Term] = set()
+        self.brief = False
+        self.settled = False  # lemmas bring forth no more distances
+        self.ranks: dict[Term, int] = {}
+
+    def distance(self, a: Val, b: Val) -> Term:
+        """Of two points, in metres."""
+        return self.of_points(self.lists.leaves(a), self.lists.leaves(b))
+
+    def of_points(self, p: Triple, q: Triple) -> Term:
+        for one, other in ((p, q), (q, p)):
+            ways = _split(one)
+            if ways is not None:
+                condition, (then, orelse) = ways
+                return t.ite(condition, self.of_points(then, other), self.of_points(orelse, other))
+        found = self._distance(p, q)
+        self.neighbours.setdefault(p, {})[q] = found
+        self.neighbours.setdefault(q, {})[p] = found
+        return found
+
+    def _distance(self, p: Triple, q: Triple) -> Term:
+        if p == q:
+            return _NOTHING
+        found = self.distances.get((p, q))
+        if found is None:
+            self.room.note(DISTANCES)
+            name = Function("distance@points", (t.REAL,) * 6, t.REAL)
+            one, other = self._ordered(p, q)
+            found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *one, *other)
+            with self.room.about("distance of two points", 0):
+                self.room.fact(t.at_most(_NOTHING, found))
+                self.room.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
+                if not self.brief:
+                    self.room.fact(t.equals(found, t.apply(name, *q, *p)))
+        return found
+
+    def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
+        """A pair as it is written: where little is told, what speaks of the acting robot first, so that pairs that
+        are equal once their parts are, are one. Any order is right."""
+        return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
+
+    def _rank(self, term: Term) -> int:
+        """By the last of the robots that a term speaks of."""
+        if isinstance(term, t.Value):
+            return -1
+        found = self.ranks.get(term)
+        if found is None:
+            own = list(self.room.indices).index(term) if term in self.room.indices else -1
+            found = self.ranks[term] = max([own, *map(self._rank, term.args)])
+        return found
+
+    def path_distance(self, a: Collection, b: Collection) -> Term:
+        """Of two paths, in metres. Of a path without points it is infinite: a number of which nothing is told."""
+        for one, other in ((a, b), (b, a)):
+            if isinstance(one, Choice):
+                then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
+                return t.ite(one.condition, then, orelse)
+        p, q = self._point(a), self._point(b)
+        for point, other in ((p, b), (q, a)):
+            parts = _split(point) if point is not None else None
+            if parts is not None:
+                then, orelse = [self.path_distance(_single(way), other) for way in parts[1]]
+                return t.ite(parts[0], then, orelse)
+        if p is not None and q is not None:
+            return self._distance(p, q)
+        first, second = self._path(a, p), self._path(b, q)
+        self.given |= {first, second}
+        return self._apart(first, second)
+
+    def _point(self, path: Collection) -> Triple | None:
+        one = isinstance(path, Known) and len(path.items) == 1
+        return self.lists.leaves(path.items[0]) if one and isinstance(path, Known) else None
+
+    def _path(self, path: Collection, point: Triple | None) -> Term:
+        found = self.lists.term(path)
+        if point is not None:
+            self.points[found] = point
+            self.singles[point] = found
+        else:
+            self.others[found] = path
+        return found
+
+    def _apart(self, p: Term, q: Term) -> Term:
+        found = self.paths.get((p, q))
+        if found is None:
+            self.room.note(PATHS)
+            name = Function("path_distance@paths", (p.sort, q.sort), t.REAL)
+            (one,), (other,) = self._ordered((p,), (q,))
+            found = self.paths[p, q] = self.paths[q, p] = t.apply(name, one, other)
+            with self.room.about("distance of two paths", 0):
+                self.room.fact(t.at_most(_NOTHING, found))
+                if not self.brief:
+                    self.room.fact(t.equals(found, t.apply(name, q, p)))
+        return found
+
+    def _from_point(self, point: Triple, q: Term) -> Term | None:
+        """How far a point is from a path; None where that was not met and lemmas bring forth no more."""
+        if q in self.points:
+            met = point == self.points[q] or (point, self.points[q]) in self.distances
+            return self._distance(point, self.points[q]) if met or not self.settled else None
+        found = self.singles.get(point)
+        if self.settled:
+            return self.paths.get((found, q)) if found is not None else None
+        if found is None:
+            found = self._path(_single(point), point)
+        return self._apart(found, q)
+
+    # Lemmas
+
+    def lemmas(self, exact: bool) -> None:
+        """What is true of the distances that were met; of all by squares, if `exact`."""
+        with self.room.about("distances of paths", 0):
+            for (p, q), found in list(self.paths.items()):
+                round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
+                if round_ in self.done:
+                    continue
+                self.done.add(round_)
+                if p in self.others:
+                    self._ends(p, q, found)
+                    self._past_points(p, q, found)
+                else:
+                    self._near(t.TRUE, self.points[p], q, found)
+            if self.measured or exact:
+                self._squares()
+        self.settled = self.brief
+
+    def _ends(self, p: Term, q: Term, found: Term) -> None:
+        """A path is not farther away than its first and its last point are; one of a single point just as far."""
+        path, fact = self.others[p], self.room.fact
+        long = self.lists.length(path)
+        some, one = t.less(_ZERO, long), t.equals(long, _ONE)
+        first = self.lists.leaves(self.lists.element(path, _ZERO))
+        last = self.lists.leaves(self.lists.element(path, t.subtract(long, _ONE)))
+        if q in self.points:
+            for end in (first, last):
+                there = self._from_point(end, q)
+                if there is not None:
+                    fact(t.implies(some, t.at_most(found, there)))
+            there = self._from_point(first, q)
+            if there is not None:
+                fact(t.implies(one, t.equals(found, there)))
+        else:
+            for single, point in list(self.points.items()):
+                if (single, q) in self.paths and (single in self.given or point in (first, last)):
+                    ends = [
+                        t.all_of([t.equals(x, y) for x, y in zip(point, end, strict=True)]) for end in (first, last)
+                    ]
+                    fact(t.implies(t.and_(some, t.or_(*ends)), t.at_most(found, self.paths[single, q])))
+        if one is not t.FALSE:
+            self._near(one, first, q, found)
+
+    def _past_points(self, p: Term, q: Term, found: Term) -> None:
+        """The way from one path to another past a point is not shorter."""
+        for single in list(self.points) if q in self.others else ():
+            there, back = self.paths.get((single, p)), self.paths.get((single, q))
+            if there is not None and back is not None:
+                self.room.fact(t.at_most(found, t.add(there, back)))
+
+    def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
+        """A path of one point, which is near another point: how far that is from what the path is away from."""
+        some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
+        for other, apart in list(self.neighbours.get(point, {}).items()):
+            there = self._from_point(other, q)
+            if there is not None:
+                bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
+                self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
+
+    def _squares(self) -> None:
+        for (p, q), found in list(self.distances.items()):
+            if found not in self.squared:
+                self.squared.add(found)
+                gaps = [t.subtract(x, y) for x, y in zip(p, q, strict=True)]
+                squares = [t.multiply(gap, gap) for gap in gaps]
+                whole = t.add(t.add(squares[0], squares[1]), squares[2])
+                self.room.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
+
+
+def _equal(p: Triple, q: Triple) -> Term:
+    return t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
+
+
+def _single(point: Triple) -> Known:
+    return Known((build(POINT, iter(point)),), list_of(POINT))
+
+
+def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
+    """A point that is one or the other, by a condition."""
+    if not all(isinstance(x, t.Op) and x.name == "ite" for x in point):
+        return None
+    ways = [x.args for x in point if isinstance(x, t.Op)]
+    if any(way[0] is not ways[0][0] for way in ways):
+        return None
+    return ways[0][0], (tuple([way[1] for way in ways]), tuple([way[2] for way in ways]))
+
+
+def path_of(value: Val) -> Collection:
+    assert not isinstance(value, (tuple, t.Value, t.Apply, t.Op))
+    return value

@@ -1,0 +1,363 @@
+"""Loops as they stand in the program: how each is encoded, what it writes, and what its turns leave behind.
+
+Everything here is decided from the IR alone, so that the obligations of a program can be counted without encoding it
+(`koordgen/verify/prove/obligations/count.py`). The facts about turns hold by the meaning of loops (docs/semantics.md,
+"Loops"); no obligation shows them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Literal, NamedTuple, assert_never
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+from koordgen.lang.ir.types import MapOf, Sequence, Type
+from koordgen.lang.node import Node
+from koordgen.verify.prove.encode.state import Key
+from koordgen.verify.prove.encode.tree import nodes
+
+FEW = 8  # turns, at most, that are encoded one by one
+
+Loop = stmt.For | stmt.While
+Way = Literal["unrolled", "search", "cut"]
+WayOf = Callable[[Loop], Way]
+
+
+def key_of(place: stmt.Place) -> Key:
+    match place:
+        case stmt.LocalPlace(name):
+            return "local", name
+        case stmt.OwnSlot(name):
+            return "slot", name
+        case stmt.SharedPlace(name):
+            return "cell", name
+        case stmt.PortPlace(module, port):
+            return "port", f"{module}.{port}"
+        case stmt.TempPlace(name):
+            return "temp", name
+        case _:
+            assert_never(place)
+
+
+def key_read(node: Node) -> Key | None:
+    """The variable that an expression is; None where it is something else."""
+    match node:
+        case ir.LocalRead(name):
+            return "local", name
+        case ir.TempRead(name):
+            return "temp", name
+        case ir.SharedRead(name):
+            return "cell", name
+        case ir.PortRead(module, port, False):
+            return "port", f"{module}.{port}"
+        case ir.SlotRead(name, ir.Pid()):
+            return "slot", name
+        case _:
+            return None
+
+
+# How a loop is encoded
+
+
+def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
+    """How a loop of an event or of `init` is encoded. `known`: the params with fixed values; `robots`: how many there
+    are, where each is spoken of by its number.
+
+    unrolled: a `for` over at most FEW elements whose number the program tells, without invariants at its head.
+    search: a `for` whose turns write nothing that a later turn can read; the first element that leaves it decides.
+    cut: any other loop. What it writes may be anything that its invariants and the facts about turns allow.
+    """
+    if isinstance(loop, stmt.For) and not loop.invariants:
+        many = length(loop.values, known, robots)
+        if many is not None and many <= FEW:
+            return "unrolled"
+        inner = [n for n in nodes(loop.block) if isinstance(n, (stmt.For, stmt.While))]
+        if is_search(loop) and all(way_of(n, known, robots) != "cut" for n in inner):
+            return "search"
+    return "cut"
+
+
+def has_loop(block: object) -> bool:
+    """Return whether a block has a loop: it is encoded even where nothing gets there, so that the obligations of a
+    program do not depend on what the encoder sees to be impossible."""
+    return any(isinstance(n, (stmt.For, stmt.While)) for n in nodes(block))
+
+
+def is_search(loop: stmt.For) -> bool:
+    """True if no turn leaves anything behind for the next one, and the program states no invariant of the loop."""
+    return not kept_by(loop) and not loop.invariants
+
+
+def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
+    """How many elements a `for` goes through; None where the program does not tell."""
+    match values:
+        case ir.Range(start, stop, step):
+            low, high = (whole(bound, known, robots) for bound in (start, stop))
+            return len(range(low, high, step)) if low is not None and high is not None else None
+        case ir.ParamRead(name) if name in known:
+            return length(known[name], {}, None)
+        case ir.Make(items) if isinstance(values.type, (Sequence, MapOf)):
+            return len(items) if len(items) < 2 or not is_unordered(values.type) else None
+        case _:
+            return None
+
+
+def whole(node: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
+    """The value of a constant int expression; None where the program does not tell."""
+    match node:
+        case ir.Const(int() as value):
+            return value
+        case ir.Unary("-", operand):
+            inner = whole(operand, known, robots)
+            return None if inner is None else -inner
+        case ir.Binary("+" | "-" as op, left, right):
+            a, b = whole(left, known, robots), whole(right, known, robots)
+            return None if a is None or b is None else a + b if op == "+" else a - b
+        case ir.NSys():
+            return robots
+        case ir.ParamRead(name) if name in known:
+            return whole(known[name], {}, None)
+        case _:
+            return None
+
+
+def is_unordered(type_: Type) -> bool:
+    return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")
+
+
+# What a loop writes
+
+
+def written(block: stmt.Block) -> dict[Key, None]:
+    """Return the variables that a block may write, on any way."""
+    found: dict[Key, None] = {}
+    for statement in block:
+        match statement:
+            case stmt.Assign(place):
+                found[key_of(place)] = None
+            case stmt.If(_, then, orelse):
+                found.update(written(then))
+                found.update(written(orelse))
+            case stmt.For() | stmt.While():
+                found.update(written(statement.block))
+            case _:
+                pass
+    return found
+
+
+def kept_by(loop: Loop) -> dict[Key, None]:
+    """Return what a turn may write on a way to the next turn: not what it writes before it leaves the loop, and none of
+    the loop's own variables."""
+    own = set(temps_of(loop.block))
+    if isinstance(loop, stmt.For):
+        own.update(loop.names)
+    return {key: None for key in _kept(loop.block)[0] if key[0] != "temp" or key[1] not in own}
+
+
+def has_next_turn(loop: Loop) -> bool:
+    """Return whether some way through the block leads to the loop's head again."""
+    _, ends, continues = _kept(loop.block)
+    return ends or continues
+
+
+def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
+    """Return what is written on the ways to the block's end or a `continue`; whether the end is reached, and whether a
+    `continue` is."""
+    so_far: dict[Key, None] = {}  # on ways that reach this statement
+    continued: dict[Key, None] = {}  # on ways that ended in a `continue`
+    continues = False
+    for statement in block:
+        match statement:
+            case stmt.Assign(place):
+                so_far[key_of(place)] = None
+            case stmt.If(_, then, orelse):
+                ways = [_kept(then), _kept(orelse)]
+                if any(on for _, _, on in ways):
+                    continues = True
+                    continued.update(so_far)
+                for inner, _, _ in ways:
+                    so_far.update(inner)
+                    continued.update(inner if continues else {})
+                if not any(ends for _, ends, _ in ways):
+                    return continued, False, continues
+            case stmt.For() | stmt.While():
+                so_far.update(written(statement.block))
+            case stmt.Continue():
+                return {**continued, **so_far}, False, True
+            case stmt.Break() | stmt.Return() | stmt.Stop():
+                return continued, False, continues
+            case stmt.Let() | stmt.Emit():
+                pass
+            case _:
+                assert_never(statement)
+    return {**continued, **so_far}, True, continues
+
+
+def temps_of(block: object) -> dict[str, Type]:
+    """The types of the variables that a block declares itself."""
+    found: dict[str, Type] = {}
+    for node in nodes(block):
+        match node:
+            case stmt.Let(name, type_):
+                found[name] = type_
+            case stmt.For(names, types):
+                found.update(zip(names, types, strict=True))
+            case _:
+                pass
+    return found
+
+
+def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
+    """Return whether a value behind the loop depends on which element left it."""
+    for statement in block:
+        match statement:
+            case stmt.Assign(_, value) | stmt.Return(value):
+                if any(isinstance(n, ir.TempRead) and n.name in names for n in nodes(value)):
+                    return True
+            case stmt.If(_, then, orelse):
+                if tells(then, names) or tells(orelse, names):
+                    return True
+            case stmt.For() | stmt.While() | stmt.Let():
+                return True
+            case _:
+                pass
+    return False
+
+
+# What turns leave behind
+
+
+class Write(NamedTuple):
+    """The only statement of a loop that writes a variable, outside of inner loops.
+
+    `guards`: the conditions under which it runs, each with whether it holds. `lets`: the loop's own variables that
+    stand before it. `group`: statements of one group run in the same turns. `sure`: nothing before it leaves the turn,
+    so that it runs in each turn in which its guards hold."""
+
+    key: Key
+    value: ir.Expr
+    guards: tuple[tuple[ir.Expr, bool], ...]
+    lets: tuple[stmt.Let, ...]
+    group: tuple[int, int]
+    sure: bool
+
+
+class Writes:
+    """The statements by which the block of a loop writes, as far as the shape of the block tells."""
+
+    def __init__(self, loop: Loop) -> None:
+        self.loop = loop
+        self.changed = written(loop.block)
+        self.opaque: set[Key] = set()  # written in inner loops
+        self.all: list[Write] = []
+        self._walk(loop.block, (), (), True)
+
+    def _walk(
+        self, block: stmt.Block, guards: tuple[tuple[ir.Expr, bool], ...], lets: tuple[stmt.Let, ...], sure: bool
+    ) -> None:
+        segment = 0
+        for statement in block:
+            match statement:
+                case stmt.Assign(place, value):
+                    write = Write(key_of(place), value, guards, lets, (id(block), segment), sure)
+                    self.all.append(write)
+                case stmt.Let():
+                    lets = (*lets, statement)
+                case stmt.If(condition, then, orelse):
+                    self._walk(then, (*guards, (condition, True)), lets, sure)
+                    self._walk(orelse, (*guards, (condition, False)), lets, sure)
+                    if leaves(statement):
+                        segment, sure = segment + 1, False
+                case stmt.For() | stmt.While():
+                    self.opaque.update(written(statement.block))
+                    if leaves(statement):
+                        segment, sure = segment + 1, False
+                case _:
+                    pass
+
+    def of(self, key: Key) -> list[Write]:
+        """The statements that write a variable; none where an inner loop writes it, too."""
+        return [] if key in self.opaque else [write for write in self.all if write.key == key]
+
+    def only(self, key: Key) -> Write | None:
+        """The statement that alone writes a variable."""
+        found = self.of(key)
+        return found[0] if len(found) == 1 else None
+
+    def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
+        """Return whether a value depends on nothing but the element of its turn (if `element`) and on what the loop
+        leaves alone."""
+        own = self.loop.names if isinstance(self.loop, stmt.For) else ()
+        local = {let.name: let for let in lets}
+        for part in nodes(node):
+            if isinstance(part, (ir.PortCall, ir.ExternCall, ir.SlotsRead)):
+                return False
+            if isinstance(part, ir.SlotRead) and ("slot", part.name) in self.changed:
+                return False
+            key = key_read(part)
+            if key is None:
+                continue
+            if key in self.changed:
+                return False
+            if key[0] == "temp" and key[1] in own and not element:
+                return False
+            if key[0] == "temp" and key[1] in local:
+                before = lets[: lets.index(local[key[1]])]
+                if not self.is_fixed(local[key[1]].value, before, element):
+                    return False
+        return True
+
+
+def leaves(part: object) -> bool:
+    """Return whether a statement may end the turn, the loop or the event."""
+    return any(isinstance(n, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for n in nodes(part))
+
+
+def step_of(write: Write) -> int | None:
+    """The constant that a statement adds to its own variable; None where it does something else."""
+    match write.value:
+        case ir.Binary("+" | "-" as op, left, right):
+            if key_read(left) == write.key:
+                by = whole(right, {}, None)
+                return None if by is None else by if op == "+" else -by
+            if op == "+" and key_read(right) == write.key:
+                return whole(left, {}, None)
+    return None
+
+
+class Bound(NamedTuple):
+    """A statement that keeps the least (or greatest) value of an expression over the turns in which `guards` hold."""
+
+    write: Write
+    value: ir.Expr
+    guards: tuple[tuple[ir.Expr, bool], ...]
+    least: bool
+
+
+def bound_of(write: Write) -> Bound | None:
+    """`if value < v: v = value`, or `v = min(v, value)`; likewise the greatest."""
+    match write.value:
+        case ir.Builtin("min" | "max" as name, (left, right)):
+            for own, other in ((left, right), (right, left)):
+                if key_read(own) == write.key:
+                    return Bound(write, other, write.guards, name == "min")
+    for place, (condition, held) in enumerate(write.guards):
+        if not held or not isinstance(condition, ir.Compare) or condition.op not in ("<", "<=", ">", ">="):
+            continue
+        less = condition.op in ("<", "<=")
+        rest = write.guards[:place] + write.guards[place + 1 :]
+        if condition.left == write.value and key_read(condition.right) == write.key:
+            return Bound(write, write.value, rest, less)
+        if condition.right == write.value and key_read(condition.left) == write.key:
+            return Bound(write, write.value, rest, not less)
+    return None
+
+
+def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
+    """The parts of a conjunction, from left to right."""
+    if isinstance(formula, ir.Logic) and formula.op == "and":
+        yield from conjuncts(formula.left)
+        yield from conjuncts(formula.right)
+    else:
+        yield formula

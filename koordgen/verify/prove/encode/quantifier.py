@@ -1,0 +1,226 @@
+"""Quantifiers, and what loops run over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+from koordgen.lang.ir.types import MapOf, PerRobot, Sequence, Type
+from koordgen.verify.prove.encode.encoder import ExprEncoder, Scope
+from koordgen.verify.prove.encode.geometry import path_of
+from koordgen.verify.prove.encode.room import Room
+from koordgen.verify.prove.encode.tree import nodes
+from koordgen.verify.prove.encode.values import Fleet, Known, Val
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Term
+
+_ZERO, _ONE = t.integer(0), t.integer(1)
+_EXPANDED = 8  # a domain of at most so many elements is gone through one by one
+
+
+class Domain(NamedTuple):
+    """`inside`: whether an int is a place in it; `element`: what is there; `few`: all elements, where they are few.
+    `robots`, `places`: what its places are. Its places are `start`, `start + step` and so on, before `stop`."""
+
+    inside: Callable[[Term], Term]
+    element: Callable[[Term], Val]
+    few: list[Val] | None
+    robots: bool
+    places: bool
+    start: Term
+    stop: Term
+    step: int
+
+    def ahead(self, index: Term) -> Term:
+        """Return that a loop which has come to this place has an element left."""
+        return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
+
+    def not_after(self, a: Term, b: Term) -> Term:
+        """Return that a place comes before another one, or is that one."""
+        return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
+
+    def passed(self, index: Term, head: Term) -> Term:
+        """Return that a loop which has come to `head` has gone through a place."""
+        before = t.less(index, head) if self.step > 0 else t.less(head, index)
+        reached = self.not_after(self.start, index)
+        return t.all_of([before, reached, *self.on_grid(index)])
+
+    def on_grid(self, index: Term) -> list[Term]:
+        """Return that a number is `start` plus some steps; nothing for a step of 1 or -1."""
+        if abs(self.step) == 1:
+            return []
+        return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
+
+
+def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
+    """As a truth value of its own, which every instance that is looked at agrees with.
+
+    Where it is to be shown (`e.strict`), that all instances have a value is demanded: `not exists` is no value, and not
+    true, where an instance has none. SOUND: that is more than the semantics asks for, which stops at the first instance
+    that decides."""
+    every = node.kind == "forall"
+    over = domain(e, node.domain, scope, node.body, node.name)
+    temps, strict = dict(scope.temps), e.strict
+
+    def evaluated(element: Val) -> tuple[Term, Term]:
+        kept, scope.temps = scope.temps, {**temps, node.name: element}
+        around, e.strict = e.strict, strict
+        try:
+            with e.room.grant(element if isinstance(node.domain, ir.Ids) else None):
+                return e.parts(node.body, scope)
+        finally:
+            scope.temps, e.strict = kept, around
+
+    def holds(element: Val) -> Term:
+        return t.and_(*evaluated(element))
+
+    def has_value(index: Term) -> Term:
+        return t.implies(over.inside(index), evaluated(over.element(index))[0])
+
+    if e.strict and over.few is not None:
+        e.room.demand(t.all_of([evaluated(element)[0] for element in over.few]), "instances", node.span.line)
+    elif e.strict and _may_fail(e, node, scope):
+        has = proxy(e.room, has_value, node.name, over.robots, over.places)
+        e.room.demand(has, "instances", node.span.line)
+    if over.few is not None:
+        parts = [holds(element) for element in over.few]
+        return t.all_of(parts) if every else t.any_of(parts)
+
+    def instance(index: Term) -> Term:
+        held = holds(over.element(index))
+        return t.implies(over.inside(index), held if every else t.not_(held))
+
+    found = proxy(e.room, instance, node.name, over.robots, over.places)
+    return found if every else t.not_(found)
+
+
+_PARTIAL = ("/", "//", "%", "**")
+_TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "sum", "len", "count", "get", "keys",
+                    "values", "items", "union", "intersection", "difference", "Point", "Pose", "Grid", "Rect", "Ball",
+                    "sorted", "reversed", "floor", "ceil", "round", "str", "merge", "center"))  # fmt: skip
+
+
+def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
+    """Return whether an instance may have no value, as far as its operations tell."""
+    named = {node.name} if isinstance(node.domain, ir.Ids) else set()
+    for part in nodes(node.body):
+        if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
+            named.add(part.name)
+    named.update(name for name, value in scope.temps.items() if value in e.room.granted and name != node.name)
+    for part in nodes(node.body):
+        match part:
+            case ir.Binary(op) if op in _PARTIAL:
+                return True
+            case ir.Builtin(name) if name not in _TOTAL:
+                return True
+            case ir.At() | ir.Slice() | ir.Call() | ir.ExternCall() | ir.PortCall():
+                return True
+            case ir.SlotRead(_, robot) | ir.LocalOf(_, robot) | ir.PortOf(_, _, robot):
+                if not (isinstance(robot, ir.TempRead) and robot.name in named):
+                    return True
+            case _:
+                pass
+    return False
+
+
+def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
+    """A truth value: whether every instance holds."""
+    some = room.new(name, t.INT)
+    first = instance(some)
+    found = room.new(f"forall {name}", t.BOOL)
+    room.element(some, robots, places)
+    room.fact(t.or_(found, t.not_(first)), "one of which it does not hold")
+    room.for_all(lambda index: t.implies(found, instance(index)), robots, places)
+    return found
+
+
+def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
+    """Whether a robot has that."""
+    room = e.room
+    key = (xs.name, *e.lists.leaves(item))
+    if key not in room.nowhere:
+        room.nowhere[key] = proxy(
+            room, lambda index: t.implies(room.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
+        )
+    return t.not_(room.nowhere[key])
+
+
+def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
+    """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
+    if isinstance(node, ir.Range):
+        return _range(e, node, scope, body, name)
+    xs = path_of(e.value(node, scope))
+    few = None
+    if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
+        few = [_key(item, node.type) for item in xs.items]
+    room, long, fleet = e.room, e.lists.length(xs), isinstance(xs, Fleet)
+
+    def inside(index: Term) -> Term:
+        if fleet and room.indices.get(index, False):
+            return t.TRUE
+        return t.and_(t.at_most(_ZERO, index), t.less(index, long))
+
+    return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
+
+
+def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: object, name: str) -> Domain:
+    start, stop = e.term(node.start, scope), e.term(node.stop, scope)
+    low, high = t.number(start), t.number(stop)
+    if stop is e.room.size and e.room.robots is None:
+        high = None  # robots are not gone through one by one
+    few: list[Val] | None = None
+    if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
+        few = [t.integer(i) for i in range(int(low), int(high), node.step)]
+    first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
+    step = t.integer(abs(node.step))
+
+    def inside(index: Term) -> Term:
+        within = t.and_(t.at_most(first, index), t.less(index, last))
+        if abs(node.step) == 1:
+            return within
+        return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
+
+    whole = start is _ZERO and stop is e.room.size
+    robots = names_robots(body, name) or _speaks_of(start, e.room.size) or _speaks_of(stop, e.room.size)
+    return Domain(inside, _int, few, robots, not whole, start, stop, node.step)
+
+
+def _speaks_of(term: Term, part: Term) -> bool:
+    return term is part or (isinstance(term, t.Op) and any(_speaks_of(arg, part) for arg in term.args))
+
+
+def names_robots(body: object, name: str) -> bool:
+    """Return whether a number may be used as the index of a robot; a number that is handed on may."""
+    for part in nodes(body):
+        match part:
+            case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
+                used: object = index
+            case ir.At(operand, index) if isinstance(operand.type, PerRobot):
+                used = index
+            case ir.Compare(_, left, right) if any(isinstance(n, (ir.Pid, ir.NSys)) for n in nodes((left, right))):
+                used = (left, right)
+            case ir.Call() | ir.ExternCall() | stmt.Assign() | stmt.Let() | stmt.Return():
+                used = part
+            case _:
+                continue
+        if any(isinstance(n, ir.TempRead) and n.name == name for n in nodes(used)):
+            return True
+    return False
+
+
+def _int(index: Term) -> Val:
+    return index
+
+
+def _key(item: Val, type_: Type) -> Val:
+    """Of a map one goes through the keys."""
+    if isinstance(type_, MapOf):
+        assert isinstance(item, tuple)
+        return item[0]
+    return item
+
+
+def _unordered(type_: Type) -> bool:
+    return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")

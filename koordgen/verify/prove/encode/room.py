@@ -1,0 +1,320 @@
+"""What is gathered while one obligation is encoded: facts, terms that name robots, formulas for all of them, demands.
+
+Symbols are called as the program calls things; what it has no name for has an `@` in it, so that nothing collides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.types import build, shape
+from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.term import Apply, Function, Op, Sort, Term, Value
+
+# What SMT-LIB gives a meaning of its own, quoted or not.
+_RESERVED = frozenset(
+    (
+        *(
+            "and",
+            "or",
+            "not",
+            "xor",
+            "ite",
+            "distinct",
+            "true",
+            "false",
+            "let",
+            "forall",
+            "exists",
+            "match",
+            "par",
+            "as",
+        ),
+        *("abs", "div", "mod", "to_real", "to_int", "is_int", "select", "store", "const"),
+        *("Int", "Real", "Bool", "Array", "String"),
+    )
+)
+_ZERO = t.integer(0)
+GENERATIONS = 1  # of terms naming robots that only instances bring forth
+
+
+def symbol(name: str) -> str:
+    """The symbol of what the program calls so."""
+    return f"{name}@" if name in _RESERVED else name
+
+
+def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[Function]:
+    """Of a value that is a function of such terms, one for each part."""
+    domain = tuple([a.sort for a in args])
+    return [Function(name + suffix, domain, sort) for suffix, sort in shape(type_)]
+
+
+class Universal:
+    """A formula that holds of every int in a domain: `instance` yields it for one, the domain's bounds included.
+    `robots`, `places`: whether these are robots, places in lists, or may be both. `inner`: it arose from an instance of
+    another."""
+
+    def __init__(
+        self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
+        known_from: int,
+    ) -> None:  # fmt: skip
+        self.instance, self.robots, self.places, self.inner = instance, robots, places, inner
+        self.label, self.line, self.known_from = label, line, known_from
+        self.done: set[Term] = set()
+
+
+class Room:
+    """`robots`: how many there are, None when that is any number >= 1; `size` is the term of it. `unrolled`: what holds
+    of all is said of each of them, and not of terms that name them."""
+
+    def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
+        self.program, self.robots = program, robots if unrolled else None
+        self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
+        self.facts: list[Fact] = []
+        self.seen: dict[Term, int] = {}  # a fact's term -> the least position at which it is known
+        self.demands: list[Fact] = []  # what must hold for every operation to have a value
+        self.notes: dict[str, None] = {}
+        self.path: tuple[Term, ...] = ()
+        self.indices: dict[Term, bool] = {}  # terms that name robots -> whether that is a fact
+        self.witnesses: dict[Term, None] = {}  # those of them that stand for some robot, of which something (not) holds
+        self.ignored: set[Term] = set()  # robots of which nothing need be said
+        self.places: dict[Term, None] = {}  # terms that are places in lists
+        self.universals: list[Universal] = []
+        self.own: Term | None = None  # the robot that acts
+        self.others: set[Term] = set()  # terms that name no robot, or another
+        self.known: dict[Term, Term] = {}  # what the guard tells of single variables
+        self.instantiating = False
+        self.passes = 0
+        self.partial = False  # not every universal was looked at everywhere
+        self.position = 0  # how many loop heads and loop ends were encoded so far
+        self.known_from = 0  # the position of the facts that are being gathered
+        self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
+        self.granted: set[Term] = set()  # ints that name robots where they are spoken of just now
+        self.folds: set[Term] = set()  # sums over all robots
+        self.texts: dict[str, Term] = {}  # literals
+        self.versions: dict[int, tuple[int, Val]] = {}
+        self.fresh = 0
+        self.label, self.line = "", 0  # of what is being encoded
+        if robots is None:
+            self.fact(t.at_most(t.integer(1), self.size), "there is a robot", 0)
+        if robots is not None and unrolled:
+            self.indices = {t.integer(i): True for i in range(robots)}
+
+    # Facts
+
+    def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
+        """A formula that holds in every model, from the position `known_from` on."""
+        if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
+            self.seen[formula] = self.known_from
+            found = Fact(label or self.label, formula, self.program.path, line or self.line, self.known_from)
+            self.facts.append(found)
+
+    def given(self, formula: Term, label: str = "", line: int = 0) -> None:
+        """A formula that holds where this place is reached: it is known from this position on."""
+        with self.known_at(self.position):
+            self.fact(t.implies(self.here(), formula), label, line)
+
+    def here(self) -> Term:
+        """Return that this place is reached: its path is taken, and every operation before it has a value.
+
+        Without the second part a fact of this place could show that an operation before it has a value."""
+        return t.all_of([*self.path, *[demand.term for demand in self.demands]])
+
+    def demand(self, formula: Term, label: str, line: int) -> None:
+        """That an operation of this place has a value; without one the event is discarded."""
+        if formula is not t.TRUE:
+            self.demands.append(Fact(label, t.implies(t.all_of(self.path), formula), self.program.path, line))
+
+    @contextmanager
+    def known_at(self, position: int) -> Iterator[None]:
+        """The facts that are gathered now are known from this position of the event on."""
+        kept, self.known_from = self.known_from, position
+        try:
+            yield
+        finally:
+            self.known_from = kept
+
+    @contextmanager
+    def outermost(self) -> Iterator[None]:
+        """Encode something that does not depend on the place that is being encoded."""
+        kept, self.path = self.path, ()
+        try:
+            yield
+        finally:
+            self.path = kept
+
+    @contextmanager
+    def under(self, *conditions: Term) -> Iterator[None]:
+        """The places that are reached where these hold, too."""
+        kept, self.path = self.path, (*self.path, *conditions)
+        try:
+            yield
+        finally:
+            self.path = kept
+
+    @contextmanager
+    def grant(self, robot: object) -> Iterator[None]:
+        """That an int names a robot is known for now."""
+        new = isinstance(robot, (Value, Apply, Op)) and robot not in self.granted
+        if new:
+            self.granted.add(robot)  # type: ignore[arg-type]
+        try:
+            yield
+        finally:
+            if new:
+                self.granted.discard(robot)
+
+    @contextmanager
+    def about(self, label: str, line: int) -> Iterator[None]:
+        kept, self.label, self.line = (self.label, self.line), label, line
+        try:
+            yield
+        finally:
+            self.label, self.line = kept
+
+    @contextmanager
+    def aside(self) -> Iterator[list[Fact]]:
+        """Keeps the demands that arise apart."""
+        kept, self.demands = self.demands, []
+        try:
+            yield self.demands
+        finally:
+            self.demands = kept
+
+    def note(self, text: str) -> None:
+        self.notes[text] = None
+
+    # Symbols
+
+    def new(self, hint: str, sort: Sort) -> Term:
+        """A constant of which nothing is known."""
+        self.fresh += 1
+        return t.constant(f"{hint}@{self.fresh}", sort)
+
+    def any(self, hint: str, type_: Type) -> Val:
+        """A value of a type of which nothing is known."""
+        self.fresh += 1
+        number = self.fresh
+        return build(type_, iter([t.constant(f"{hint}{suffix}@{number}", sort) for suffix, sort in shape(type_)]))
+
+    def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
+        """A value of a type that is a function of terms, and of nothing else."""
+        return self.applied(symbols(name, args, type_), args, type_)
+
+    def applied(self, functions: list[Function], args: tuple[Term, ...], type_: Type) -> Val:
+        leaves = [t.apply(function, *args) for function in functions]
+        if self.known:
+            leaves = [self.known.get(leaf, leaf) for leaf in leaves]
+        return build(type_, iter(leaves))
+
+    def learn(self, formula: Term) -> None:
+        """What holds for certain of single variables is put in their place from now on."""
+        for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
+            match part:
+                case Apply():
+                    self.known[part] = t.TRUE
+                case Op("not", (Apply() as inner,)):
+                    self.known[inner] = t.FALSE
+                case Op("=", (Apply() as inner, Value() as value)):
+                    self.known[inner] = value
+                case _:
+                    pass
+
+    def version(self, value: Val) -> int:
+        """A number for a value that is held on to: another value, another number."""
+        return self.versions.setdefault(id(value), (len(self.versions), value))[0]
+
+    # Robots
+
+    def within(self, index: Term) -> Term:
+        """That a term names a robot."""
+        return t.and_(t.at_most(_ZERO, index), t.less(index, self.size))
+
+    def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
+        """What is said of all robots is to be said of this one."""
+        if self.robots is None and index not in self.ignored and (known or index not in self.indices):
+            if self.instantiating and self.passes > GENERATIONS:
+                self.partial = True  # instances of instances of instances: there is no end to them
+                return
+            self.indices[index] = known
+            if witness or self.instantiating:
+                self.witnesses[index] = None
+
+    def element(self, place: Term, robots: bool, places: bool) -> None:
+        """What is said of all elements of a domain is to be said of the one at this place."""
+        if robots:
+            self.robot(place, witness=True)
+        if places and self.instantiating and self.passes > GENERATIONS:
+            self.partial = True
+        elif places:
+            self.places[place] = None
+
+    def acting(self, name: str) -> Term:
+        """The robot that acts."""
+        self.own = self.some_robot(name)
+        return self.own
+
+    def another(self, name: str) -> Term:
+        """Any robot but the acting one, or an int that names none, where there is no other."""
+        assert self.own is not None
+        index = t.constant(name, t.INT)
+        self.fact(t.not_(t.equals(index, self.own)), "another robot")
+        self.others.add(index)
+        self.robot(index)
+        return index
+
+    def same(self, robot: Term, own: Term) -> Term:
+        """Whether two robots are one."""
+        return t.FALSE if own is self.own and robot in self.others else t.equals(robot, own)
+
+    def some_robot(self, name: str) -> Term:
+        """A robot, any."""
+        index = t.constant(name, t.INT)
+        self.fact(self.within(index), "a robot")
+        self.robot(index, known=True)
+        return index
+
+    def for_all(
+        self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
+    ) -> None:
+        """A fact of all ints; `instance` holds the domain's bounds."""
+        inner = inner or self.instantiating
+        known_from = self.known_from
+        self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
+
+    def instantiate(self) -> None:
+        """Every formula for all robots at every term that names one; likewise for all places in lists. What arose from
+        an instance of another is not looked at for witnesses: pairs of robots would be too many."""
+        self.instantiating = True
+        while True:
+            self.passes += 1
+            many = len(self.universals), len(self.indices), len(self.places)
+            robots, places = list(self.indices) or [_ZERO], list(self.places)
+            outer = [index for index in robots if index not in self.witnesses]
+            at = 0
+            while at < len(self.universals):
+                self._apply(self.universals[at], robots, outer, places)
+                at += 1
+            if many == (len(self.universals), len(self.indices), len(self.places)):
+                break
+        self.instantiating = False
+
+    def _apply(self, universal: Universal, robots: list[Term], outer: list[Term], places: list[Term]) -> None:
+        terms: list[Term] = []
+        if universal.robots:
+            terms += outer if universal.inner else robots
+            self.partial = self.partial or (universal.inner and len(outer) < len(robots))
+        if universal.places:
+            terms += places
+        terms = [index for index in terms if index not in universal.done]
+        if not terms:
+            return
+        with self.about(universal.label, universal.line), self.known_at(universal.known_from):
+            for index in terms:
+                universal.done.add(index)
+                self.fact(universal.instance(index))

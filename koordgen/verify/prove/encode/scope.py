@@ -1,0 +1,67 @@
+"""What names mean in a property, and in a port assumption of one robot."""
+
+from __future__ import annotations
+
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import expr as ir
+from koordgen.verify.prove.encode.state import State, slots
+from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Term
+
+
+class NotHere(Exception):
+    """An assumption asks a callable port of which nothing is known here."""
+
+
+class OfFleet:
+    """A property: over the shared store, every robot's locals and ports."""
+
+    def __init__(self, state: State) -> None:
+        self.state = state
+        self.pid = t.integer(-1)
+        self.temps: dict[str, Val] = {}
+
+    def slot(self, name: str, index: Term) -> Val:
+        return self.state.of(("slot", name), index)
+
+    def slots(self, name: str) -> Fleet:
+        return slots(self.state, name)
+
+    def cell(self, name: str) -> Val:
+        return self.state.of(("cell", name), self.pid)
+
+    def local_of(self, name: str, robot: Term) -> Val:
+        return self.state.of(("local", name), robot)
+
+    def port_of(self, name: str, robot: Term) -> Val:
+        return self.state.of(("port", name), robot)
+
+    def local(self, name: str) -> Val:
+        raise InternalError("a property says whose")
+
+    def port(self, name: str, primed: bool) -> Val:
+        raise InternalError("a property says whose")
+
+    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+        raise NotHere
+
+
+class OfRobot(OfFleet):
+    """An assumption about one robot: its ports before and at a moment of the delta that follows. `answers`: what its
+    callable ports said, by the arguments."""
+
+    def __init__(
+        self, before: State, after: State, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]
+    ) -> None:
+        super().__init__(before)
+        self.after, self.pid, self.answers = after, robot, answers
+
+    def port(self, name: str, primed: bool) -> Val:
+        return (self.after if primed else self.state).of(("port", name), self.pid)
+
+    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+        found = self.answers.get((f"{node.module}.{node.port}", args))
+        if found is None:
+            raise NotHere
+        return found

@@ -1,0 +1,132 @@
+"""The fleet's state as terms: per robot, uninterpreted functions of its index; what an event writes, on top of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.types import PerRobot, Type
+from koordgen.verify.prove.encode.room import Room, symbol, symbols
+from koordgen.verify.prove.encode.values import Fleet, Val, pick
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Function, Term
+
+# "local", "slot", "cell", "port" and a name; a port's is "Module.port". "temp" and "wrote" (whether a cell was
+# written) are a run's own.
+Key = tuple[str, str]
+
+
+def declared(program: Program) -> dict[Key, Type]:
+    """Everything that a state holds, with its type."""
+    found: dict[Key, Type] = {("local", v.name): v.type for v in program.locals}
+    found.update({("slot" if v.kind == "allread" else "cell", v.name): v.type for v in program.shared})
+    for module in program.modules:
+        for port in module.ports:
+            if port.direction in ("sensor", "actuator"):
+                found["port", f"{module.name}.{port.name}"] = port.type
+    return found
+
+
+def cleared(program: Program) -> frozenset[Key]:
+    """The sensors that an event changes, too: a command clears `reached`."""
+    modules = [(m, {p.name for p in m.ports if p.direction == "actuator"}) for m in program.modules]
+    commanded = frozenset([("port", f"{m.name}.reached") for m, names in modules if names & {"target", "path"}])
+    return commanded & sensors(program)
+
+
+def sensors(program: Program) -> frozenset[Key]:
+    ports = [(m, p) for m in program.modules for p in m.ports if p.direction == "sensor"]
+    return frozenset([("port", f"{m.name}.{p.name}") for m, p in ports])
+
+
+class State(Protocol):
+    """A moment. `of` reads what a robot has of its own, or a cell, whatever the index."""
+
+    @property
+    def types(self) -> Mapping[Key, Type]: ...
+
+    @property
+    def moment(self) -> str: ...
+
+    def of(self, key: Key, robot: Term) -> Val: ...
+
+
+def slots(state: State, name: str) -> Fleet:
+    """An allread variable as a whole; the same where nobody wrote it in between."""
+    key = ("slot", name)
+    while (isinstance(state, Written) and key not in state.writes) or (isinstance(state, Moved)):
+        state = state.before
+    changed = None
+    if isinstance(state, Written):
+        changed = slots(state.before, name), state.own, state.writes[key]
+    return Fleet(f"{name}{state.moment}", lambda robot: state.of(key, robot), PerRobot(state.types[key]), changed)
+
+
+class Free:
+    """Any state; `moment` marks its symbols."""
+
+    def __init__(self, room: Room, types: Mapping[Key, Type], moment: str = "") -> None:
+        self.room, self.types, self.moment = room, types, moment
+        self.read: dict[tuple[Key, Term], Val] = {}
+        self.symbols: dict[Key, list[Function]] = {}
+
+    def of(self, key: Key, robot: Term) -> Val:
+        found = self.read.get((key, robot))
+        if found is None:
+            type_, args = self.types[key], () if key[0] == "cell" else (robot,)
+            functions = self.symbols.get(key)
+            if functions is None:
+                functions = self.symbols[key] = symbols(symbol(key[1]) + self.moment, args, type_)
+            found = self.read[key, robot] = self.room.applied(functions, args, type_)
+        return found
+
+
+class Begun:
+    """The round's start, as the robot `own` sees it in the round: what only it writes, and the sensors in `shared`, are
+    as they are; `other` is all else."""
+
+    def __init__(self, now: State, other: Free, own: Term, shared: frozenset[Key]) -> None:
+        self.now, self.other, self.own, self.shared = now, other, own, shared
+        self.types, self.moment = now.types, "@start"
+        self.used = False
+
+    def of(self, key: Key, robot: Term) -> Val:
+        if key in self.shared:
+            return self.now.of(key, robot)
+        self.used = True
+        if key[0] == "cell":
+            return self.other.of(key, robot)
+        own = self.other.room.same(robot, self.own)
+        if isinstance(own, t.Value):
+            return (self.now if own.value else self.other).of(key, robot)
+        return pick(own, self.now.of(key, robot), self.other.of(key, robot))
+
+
+class Written:
+    """A state after what one robot wrote."""
+
+    def __init__(self, room: Room, before: State, own: Term, writes: Mapping[Key, Val], moment: str) -> None:
+        self.room, self.before, self.own, self.writes = room, before, own, writes
+        self.types, self.moment = before.types, moment
+
+    def of(self, key: Key, robot: Term) -> Val:
+        if key not in self.writes:
+            return self.before.of(key, robot)
+        if key[0] == "cell":
+            return self.writes[key]
+        own = self.room.same(robot, self.own)
+        if isinstance(own, t.Value):
+            return self.writes[key] if own.value else self.before.of(key, robot)
+        return pick(own, self.writes[key], self.before.of(key, robot))
+
+
+class Moved:
+    """A state after some of its variables (the sensors) took any values, of all robots."""
+
+    def __init__(self, before: State, after: Free, moved: frozenset[Key]) -> None:
+        self.before, self.after, self.moved = before, after, moved
+        self.types, self.moment = before.types, "@after"
+
+    def of(self, key: Key, robot: Term) -> Val:
+        return (self.after if key in self.moved else self.before).of(key, robot)

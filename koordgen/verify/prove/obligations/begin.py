@@ -1,0 +1,154 @@
+"""The mission's start: first values, actuators at hold, then every robot's init.
+
+A mission begins when every robot's init has come to its end. So what holds at its start is shown of fleets in which no
+init was discarded; that none is discarded is `(well-defined)`."""
+
+from __future__ import annotations
+
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import POINT
+from koordgen.verify.prove.encode.lists import default
+from koordgen.verify.prove.encode.loop import temps_of, written
+from koordgen.verify.prove.encode.scope import OfFleet
+from koordgen.verify.prove.encode.state import Free, Key, State
+from koordgen.verify.prove.encode.stmt import Env, Frame
+from koordgen.verify.prove.encode.tree import nodes
+from koordgen.verify.prove.encode.values import Val, pick, truth
+from koordgen.verify.prove.obligations.moment import Stage
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Term
+
+_GOALS = ("target", "path")
+
+
+def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
+    """What an event comes to: what it wrote, and `reached` of the modules whose target or path that is, which is false
+    until the new goal is met."""
+    found = {key: value for key, value in writes.items() if key[0] != "wrote"}
+    for module in program.modules:
+        goals = [f"{module.name}.{p.name}" for p in module.ports if p.name in _GOALS and p.direction == "actuator"]
+        wrote = t.any_of([truth(writes["wrote", goal]) for goal in goals if ("wrote", goal) in writes])
+        reached = [p for p in module.ports if p.name == "reached" and p.direction == "sensor"]
+        if reached and wrote is not t.FALSE:
+            key = ("port", f"{module.name}.reached")
+            found[key] = pick(wrote, t.FALSE, state.of(key, robot))
+    return found
+
+
+class Launch:
+    """Before any `init`. Sensors are any; `reached` is true, `target` the position (any place, where the program does
+    not read the position), any other actuator its default."""
+
+    moment = "@launch"
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage, self.types = stage, stage.setting.types
+        self.sensed = Free(stage.room, self.types)
+        program, nowhere = stage.setting.program, OfFleet(self.sensed)
+        value = stage.encoder.value
+        self.records: dict[str, Val] = {}
+        for record in program.records:
+            self.records[record.type.name] = tuple([value(d, nowhere) for d in record.defaults])
+        self.first: dict[Key, Val] = {("local", v.name): value(v.initial, nowhere) for v in program.locals}
+        for shared in program.shared:
+            self.first["slot" if shared.kind == "allread" else "cell", shared.name] = value(shared.initial, nowhere)
+        self.held = {("port", f"{m.name}.{p.name}"): (m, p) for m in program.modules for p in m.ports}
+
+    def of(self, key: Key, robot: Term) -> Val:
+        if key in self.first:
+            return self.first[key]
+        module, port = self.held[key]
+        ports = {p.name: p for p in module.ports}
+        if port.direction == "sensor":
+            commands = port.name == "reached" and any(name in ports for name in _GOALS)
+            return t.TRUE if commands else self.sensed.of(key, robot)
+        if port.name == "target" and port.type == POINT:
+            held = "position" if "position" in ports else "target"
+            return self.sensed.of(("port", f"{module.name}.{held}"), robot)
+        found = default(port.type, self.records)
+        return self.sensed.of(key, robot) if found is None else found
+
+
+class Run:
+    """One robot's init: what it writes; what must be true of it for the mission to begin."""
+
+    def __init__(self, stage: Stage, launch: Launch, robot: Term) -> None:
+        room, init = stage.room, stage.setting.program.init
+
+        def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+            answer = room.any(f"{node.module}.{node.port}", node.type)
+            stage.answered(node, args, answer, robot, launch)
+            return answer
+
+        way = stage.setting.loops.way
+        self.frame = Frame(stage.encoder, robot, launch, launch, ask, temps_of(init), stage.know, way)
+        self.frame.brief = stage.brief
+        with room.aside() as self.demands, room.outermost(), room.about("init", 0):
+            live = self.frame.block(init)
+            self.env = self.frame.writes()
+        over = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
+        self.ended = t.all_of([over, *[demand.term for demand in self.demands]])
+        self.writes = ended(stage.setting.program, self.env, launch, robot)
+
+
+class Ready:
+    """After every robot's init: of several writers of an allwrite variable the highest pid counts."""
+
+    moment = "@ready"
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage, self.launch = stage, Launch(stage)
+        self.types = stage.setting.types
+        self.runs: dict[Term, Run] = {}
+        self.cells: dict[Key, Val] = {}
+
+    def run(self, robot: Term) -> Run:
+        found = self.runs.get(robot)
+        if found is None:
+            found = self.runs[robot] = Run(self.stage, self.launch, robot)
+            room = self.stage.room
+            room.fact(t.implies(room.within(robot), found.ended), "every init ends", 0)
+        return found
+
+    def of(self, key: Key, robot: Term) -> Val:
+        before = self.launch.of(key, robot)
+        if not self.stage.setting.program.init:
+            return before
+        if key[0] == "cell":
+            if key not in self.cells:
+                self.cells[key] = self._cell(key, before)
+            return self.cells[key]
+        return self.run(robot).writes.get(key, before)
+
+    def _cell(self, key: Key, before: Val) -> Val:
+        room, wrote = self.stage.room, ("wrote", key[1])
+        if key not in written(self.stage.setting.program.init):
+            return before
+        some, last = room.new(f"wrote {key[1]}", t.BOOL), room.new(f"last to write {key[1]}", t.INT)
+
+        def writes(robot: Term) -> Term:
+            run = self.run(robot)
+            return t.and_(room.within(robot), truth(run.env.get(wrote, t.FALSE)))
+
+        with room.about("the highest pid counts", 0):
+            room.robot(last)
+            room.robot(t.integer(0))
+            room.robot(t.subtract(room.size, t.integer(1)))
+            for number in _named(self.stage.setting.program.init):
+                room.robot(t.integer(number))
+            room.fact(t.implies(some, writes(last)))
+            room.for_all(lambda index: t.implies(writes(index), t.and_(some, t.at_most(index, last))))
+        return pick(some, self.run(last).env.get(key, before), before)
+
+
+def _named(block: stmt.Block) -> set[int]:
+    """The numbers with which a block compares `pid`."""
+    pairs = [(n.left, n.right) for n in nodes(block) if isinstance(n, ir.Compare)]
+    pairs += [(right, left) for left, right in pairs]
+    return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
+
+
+def launched(stage: Stage, launch: Launch) -> None:
+    """What holds initially."""
+    stage.holds(stage.setting.initially, launch)

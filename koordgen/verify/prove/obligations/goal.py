@@ -1,0 +1,135 @@
+"""What is to be shown: a property of a state, of any robots, in parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.verify.prove.encode.encoder import Scope
+from koordgen.verify.prove.encode.quantifier import domain as domain_of
+from koordgen.verify.prove.encode.scope import OfFleet
+from koordgen.verify.prove.encode.state import State, Written
+from koordgen.verify.prove.encode.tree import nodes
+from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.obligations.moment import Stage
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.term import Term
+
+_NAMES = ("i", "j", "k", "l", "m")
+
+
+def goal(stage: Stage, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
+    """The parts of what a property says of a state, where `guard` holds."""
+    said = stage.setting.mentions[property_.name]
+    cells = not isinstance(state, Written) or any(k[0] == "cell" and k in said for k in state.writes)
+    bystanders = cells or not _names_robots(property_.formula, frozenset())
+    return _parts(_Goals(stage, f"invariant {property_.name}", OfFleet(state), bystanders), property_.formula, guard)
+
+
+def goal_at(stage: Stage, name: str, formula: ir.Expr, scope: Scope, guard: Term) -> tuple[Fact, ...]:
+    """The parts of what a formula says at one place of an event or a function, where `guard` holds."""
+    return _parts(_Goals(stage, name, scope, True), formula, guard)
+
+
+def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[Fact, ...]:
+    encoder = goals.stage.encoder
+    kept, encoder.strict = encoder.strict, True
+    try:
+        goals.add(formula, guard, ())
+    finally:
+        encoder.strict = kept
+    return tuple(goals.found)
+
+
+class _Goals:
+    """After an event a robot is the acting one or another. Where none is the acting one, and the formula speaks of
+    nothing that all share, it says what it said before the event, which need not be shown."""
+
+    def __init__(self, stage: Stage, name: str, scope: Scope, bystanders: bool) -> None:
+        self.stage, self.room, self.name = stage, stage.room, name
+        self.scope, self.bystanders = scope, bystanders
+        self.found: list[Fact] = []
+
+    def add(self, formula: ir.Expr, guard: Term, robots: tuple[Term, ...]) -> None:
+        match formula:
+            case ir.Logic("and", left, right):
+                self.add(left, guard, robots)
+                self.add(right, guard, robots)
+            case ir.Quantified("forall", variable, ir.Ids(), body):
+                for robot, inside in self.robots(robots, isinstance(body, ir.Quantified)):
+                    self.scope.temps[variable] = robot
+                    with self.room.grant(robot):
+                        self.add(body, t.and_(guard, inside), (*robots, robot))
+                    del self.scope.temps[variable]
+            case ir.Quantified("forall", variable, domain, body):
+                for value, inside in self.elements(domain, body, variable):
+                    self.scope.temps[variable] = value
+                    self.add(body, t.and_(guard, inside), robots)
+                    del self.scope.temps[variable]
+            case _ if robots and self.of_others(robots):
+                pass
+            case _:
+                term = t.implies(guard, self.stage.encoder.defined(formula, self.scope))
+                label = f"{self.name}{'' if self.stage.brief else f': {shown(formula)}'}"
+                self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
+
+    def of_others(self, robots: tuple[Term, ...]) -> bool:
+        """Whether none of these is the acting one, by name; where robots have numbers, each may be."""
+        by_name = self.room.robots is None and self.room.own is not None
+        return by_name and not self.bystanders and self.room.own not in robots
+
+    def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
+        """Any robot; each, where their number is known. `more`: another one will be asked for."""
+        room = self.room
+        if room.robots is not None:
+            yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
+            return
+        at = sum(robot is not room.own for robot in chosen)
+        name = f"{_NAMES[at % 5]}@{'goal' if at < 5 else at}"
+        if room.own is None:
+            yield room.some_robot(name), t.TRUE
+            return
+        yield room.own, t.TRUE
+        other = t.constant(name, t.INT)
+        if self.bystanders or more or at == 0 or len(chosen) > at:
+            other = room.another(name)
+        yield other, room.within(other)
+
+    def elements(self, domain: ir.Expr, body: ir.Expr, name: str) -> Iterator[tuple[Val, Term]]:
+        over = domain_of(self.stage.encoder, domain, self.scope, body, name)
+        if over.few is not None:
+            yield from [(value, t.TRUE) for value in over.few]
+            return
+        place = t.constant(f"place{len(self.scope.temps)}@goal", t.INT)
+        if over.robots:
+            self.room.robot(place)
+        self.room.element(place, False, over.places)
+        yield over.element(place), over.inside(place)
+
+
+def _names_robots(formula: object, variables: frozenset[str]) -> bool:
+    """Whether a formula reads what robots have by its outer quantifiers' variables alone."""
+    match formula:
+        case ir.Logic("and", left, right):
+            return _names_robots(left, variables) and _names_robots(right, variables)
+        case ir.Quantified("forall", name, ir.Ids(), body):
+            return _names_robots(body, variables | {name})
+    for node in nodes(formula):
+        match node:
+            case ir.LocalOf(_, robot) | ir.PortOf(_, _, robot) | ir.SlotRead(_, robot):
+                if not (isinstance(robot, ir.TempRead) and robot.name in variables):
+                    return False
+            case ir.Quantified() | ir.SlotsRead():
+                return False
+            case _:
+                pass
+    return True
+
+
+def shown(formula: ir.Expr) -> str:
+    """A formula as the program writes it, nearly."""
+    from koordgen.lang.ir.printer import expression
+
+    return expression(formula)

@@ -1,0 +1,341 @@
+"""One room with the states of one obligation: what is assumed there, and what is to be shown."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import islice, product
+from typing import Literal
+
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.encoder import Scope
+from koordgen.verify.prove.encode.function import Functions
+from koordgen.verify.prove.encode.loop import conjuncts, written
+from koordgen.verify.prove.encode.quantifier import domain as domain_of
+from koordgen.verify.prove.encode.room import Room, symbol
+from koordgen.verify.prove.encode.scope import NotHere, OfFleet, OfRobot
+from koordgen.verify.prove.encode.state import Key, State, Written, cleared, declared, sensors
+from koordgen.verify.prove.encode.stmt import Head
+from koordgen.verify.prove.encode.tree import nodes
+from koordgen.verify.prove.encode.types import build, shape
+from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.obligations.fragment import complete
+from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import AtHead, Cell, Fact, Moment
+from koordgen.verify.prove.smt.term import Term
+
+# How much of what is known is told: "little" is what proofs mostly need, "most" all that is known, which solvers find
+# hard. Counterexamples are of what is told "usual"ly, or most.
+Told = Literal["little", "usual", "most"]
+Trigger = ir.Call | ir.ExternCall | ir.Builtin
+CHOICES = 16  # of values for the names of an axiom, at most, when it is asked whether axioms contradict one another
+UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
+
+
+class Setting:
+    """A program, how many robots it has (None: any number), the params that have values, how much is told. `dropped`:
+    what does not hold at the heads of loops."""
+
+    def __init__(
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told,
+        dropped: frozenset[AtHead] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.told = told
+        pairs = any(_pairs(p.formula) for p in program.properties)
+        self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
+        self.program, self.robots, self.params = program, robots, params or {}
+        self.types = declared(program)
+        self.sensors, self.cleared = sensors(program), cleared(program)
+        self.invariants = [p for p in program.properties if p.kind == "invariant"]
+        self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
+        self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.complete = self.unrolled or complete(program)
+        self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+        numbered = robots if self.unrolled else None
+        self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
+
+    def changed(self, event: decl.Event) -> set[Key]:
+        """Return what an event may change: what it writes, and `reached` of the modules that it commands."""
+        keys = {key for key in written(event.effect) if key[0] != "temp"}
+        modules = {name.rpartition(".")[0] for kind, name in keys if kind == "port"}
+        commanded = {key for key in self.cleared if key[1].rpartition(".")[0] in modules}
+        return keys | commanded
+
+    def touched(self, keys: Collection[Key]) -> list[decl.Property]:
+        """The invariants that speak of one of these variables: the others stay as they are."""
+        return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
+
+
+class Stage:
+    """The room of one obligation, or of several that share their facts."""
+
+    def __init__(self, setting: Setting, thorough: bool = False) -> None:
+        """`thorough`: everything is told of distances, in any case."""
+        self.thorough = thorough or setting.told == "most"
+        program = setting.program
+        self.setting = setting
+        self.brief = setting.told == "little"
+        self.room = Room(program, setting.robots, setting.unrolled)
+        self.params: dict[str, Val] = {}
+        self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
+        self.functions = Functions(self.room, self.params, self.know, self.brief and not thorough)
+        self.encoder = self.functions.encoder
+        self.encoder.geometry.brief = self.brief and not thorough
+        for param in program.params:
+            self.params[param.name] = self._param(param)
+        for property_ in setting.initially:
+            self.rigid(property_.formula)
+
+    def _param(self, param: decl.Param) -> Val:
+        fixed = self.setting.params.get(param.name)
+        if fixed is not None:
+            return self.encoder.value(fixed, OfFleet(_Nowhere()))
+        name = symbol(param.name)
+        return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
+
+    # What is assumed
+
+    def rigid(self, formula: ir.Expr) -> None:
+        """What is said of params alone at the mission's start holds for good."""
+        for part in conjuncts(formula):
+            if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
+                       for n in nodes(part)):  # fmt: skip
+                with self.room.about("initially", part.span.line):
+                    self.assume(part, OfFleet(_Nowhere()))
+
+    def holds(self, properties: Iterable[decl.Property], state: State, guard: Term = t.TRUE, when: str = "") -> None:
+        """Properties hold of a state, where `guard` does."""
+        for property_ in properties:
+            label = f"{property_.kind} {property_.name}".strip() + when
+            with self.room.about(label, property_.span.line):
+                self.assume(property_.formula, OfFleet(state), guard)
+
+    def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
+        """A formula is a fact where `guard` holds; what it says of all, it says of each that is looked at."""
+        match formula:
+            case ir.Logic("and", left, right):
+                self.assume(left, scope, guard)
+                self.assume(right, scope, guard)
+            case ir.Quantified("forall", name, domain, body):
+                over = domain_of(self.encoder, domain, scope, body, name)
+                temps = dict(scope.temps)
+
+                def instance(value: Val, within: Term) -> None:
+                    kept, scope.temps = scope.temps, {**temps, name: value}
+                    with self.room.grant(value if isinstance(domain, ir.Ids) else None):
+                        self.assume(body, scope, t.and_(guard, within))
+                    scope.temps = kept
+
+                def each(index: Term) -> Term:
+                    within = over.inside(index)
+                    if within is not t.FALSE:
+                        instance(over.element(index), within)
+                    return t.TRUE
+
+                for value in over.few or ():
+                    instance(value, t.TRUE)
+                if over.few is None:
+                    self.room.for_all(each, over.robots, over.places)
+            case _:
+                self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+
+    def know(self, head: Head) -> None:
+        """Add what is assumed at a loop's head: it holds before each turn and behind the last one, from there on.
+        SOUND: of robots only: an index that names none has an `init` in the formulas, too, of which nothing may be
+        said."""
+        loops, place, own = self.setting.loops, head.turn, head.turn.frame.pid
+        in_event = place.frame.now is not None
+        reached = t.and_(place.reached, self.room.within(own)) if in_event else place.reached
+        with self.room.known_at(place.position), self.room.outermost(), self.room.grant(own if in_event else None):
+            for at, formula in loops.stated(head.loop):
+                with self.room.about(f"loop invariant of {at.owner}", formula.span.line):
+                    self.assume(formula, place.frame, reached)
+            for at, property_ in loops.tried(head.loop):
+                label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
+                with self.room.about(label, property_.span.line):
+                    formula, scope = self.at_head(at, property_, place.frame.state())
+                    self.assume(formula, scope, reached)
+
+    def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
+        """Return an invariant as it is assumed at a loop's head: in an event, as if the event ended there; in `init`,
+        of the robot itself, since the others may have run theirs or not."""
+        scope, formula = OfFleet(state), property_.formula
+        while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
+            if not isinstance(formula.domain, ir.Ids):
+                break
+            scope.temps[formula.name] = state.own
+            formula = formula.body
+        return formula, scope
+
+    def ports(self, before: State, after: State) -> None:
+        """Every robot keeps its modules' assumptions in a step of the environment."""
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions:
+                with self.room.about(f"assume of {module.name}", assumption.span.line):
+                    self._each_robot(assumption, before, after)
+
+    def _each_robot(self, assumption: decl.Assumption, before: State, after: State) -> None:
+        parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in nodes(p))]
+
+        def instance(robot: Term) -> Term:
+            inside = t.TRUE if self.room.indices.get(robot) else self.room.within(robot)
+            for part in parts:
+                self.assume(part, OfRobot(before, after, robot, {}), inside)
+            return t.TRUE
+
+        if parts:
+            self.room.for_all(instance)
+
+    def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: State) -> None:
+        """What is assumed of a callable port's answer, of the goals that it was asked for."""
+        name = f"{port.module}.{port.port}"
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions if module.name == port.module else ():
+                for part in conjuncts(assumption.formula):
+                    self._of_answer(part, port, args, OfRobot(state, state, pid, {(name, args): answer}))
+
+    def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
+        """A formula with primed ports or actuators is about a later moment, when they may have other values."""
+        calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
+        ports = {("port", f"{n.module}.{n.port}") for n in nodes(part) if isinstance(n, ir.PortRead)}
+        if not calls or not ports <= self.setting.sensors or any(getattr(n, "primed", False) for n in nodes(part)):
+            return
+        call, free = calls[0]
+        if len(call.args) != len(args):
+            return
+        scope.temps = {goal.name: args[place] for place, goal in free.items()}
+        with self.room.about(f"assume of {port.module}", part.span.line):
+            try:
+                self.room.given(self.encoder.defined(part, scope))
+            except (NotHere, KeyError):
+                return  # it speaks of other goals, too
+
+    def any_answers(self, state: State) -> None:
+        """An answer of each callable port of which something is assumed, for goals of which nothing is known."""
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions:
+                for call, _ in decl.handed(assumption.formula):
+                    args = tuple([self.room.any("goal", arg.type) for arg in call.args])
+                    answer = self.room.any(f"{call.module}.{call.port}", call.type)
+                    self.answered(call, args, answer, t.integer(0), state)
+
+    def any_axioms(self) -> None:
+        """Each axiom that speaks of all values, for the same two values of each type, of which nothing is known: so
+        that axioms meet. SOUND: these are some of the instances."""
+        values: dict[Type, tuple[Val, Val]] = {}
+        for axiom, free, _ in self.setting.axioms:
+            for type_ in free.values():
+                if type_ not in values:
+                    values[type_] = self.room.any("some", type_), self.room.any("other", type_)
+            for choice in islice(product(*[values[type_] for type_ in free.values()]), CHOICES) if free else ():
+                scope = OfFleet(_Nowhere())
+                scope.temps = dict(zip(free, choice, strict=True))
+                with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+                    self.room.fact(self.encoder.defined(axiom.formula, scope))
+
+    def any_contracts(self) -> None:
+        """A call of each extern function, for arguments of which nothing is known, with a result."""
+        for function in self.setting.program.externs:
+            args = tuple([self.room.any(p.name.split("@")[0], p.type) for p in function.parameters])
+            result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
+            required, ensured = self.functions.contract(function, args, result)
+            with self.room.about(f"contract of {function.name}", function.span.line):
+                for formula in required:
+                    self.room.fact(formula)
+                for formula, line in ensured:
+                    self.room.fact(formula, line=line)
+
+    def is_assumed_of_calls(self, fact: Fact) -> bool:
+        """Return whether a fact is an assumption about a function or a port that an event calls."""
+        return fact.label.startswith(("contract of ", "axiom ", "assume of "))
+
+    def axioms(self) -> None:
+        """What is known of spec functions, for the values that were met."""
+        for axiom, free, triggers in self.setting.axioms:
+            with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+                if not free:
+                    self.assume(axiom.formula, OfFleet(_Nowhere()))
+                for trigger in triggers:
+                    self._axiom(axiom, trigger)
+
+    def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
+        """Of each call once."""
+        met = self.encoder.calls.get(trigger.name, [])
+        done = self.looked.get(id(trigger), 0)
+        self.looked[id(trigger)] = len(met)
+        for args in met[done : len(met)]:
+            scope = OfFleet(_Nowhere())
+            places = zip(trigger.args, args, strict=True)
+            scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
+            self.room.fact(self.encoder.defined(axiom.formula, scope))
+
+    def close(self) -> tuple[Fact, ...]:
+        """All facts, once nothing more is asked. What is told of distances brings forth others: of those it is told
+        once, or twice where it is to be thorough."""
+        for _ in range(3 if self.thorough else 2):
+            many = len(self.room.facts)
+            self.room.instantiate()
+            self.axioms()
+            self.encoder.geometry.lemmas(self.setting.told == "most")
+            if len(self.room.facts) == many:
+                break
+        return tuple(self.room.facts)
+
+    def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
+        """Which terms are which variables, of the robots that are spoken of: for counterexamples, and so not where
+        little is told."""
+        if self.brief:
+            return ()
+        lists, found = self.encoder.lists, []
+        for param in self.setting.program.params:
+            found.append(Cell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
+        robots = [index for index, known in self.room.indices.items() if known or self.room.robots is None]
+        for moment, state in moments:
+            for key, type_ in self.setting.types.items():
+                for robot in robots[:1] if key[0] == "cell" else robots:
+                    owner = None if key[0] == "cell" else robot
+                    found.append(Cell(key[1], owner, type_, lists.leaves(state.of(key, robot)), moment))
+        return tuple(found)
+
+
+class _Nowhere:
+    """No state: for what is said of params alone."""
+
+    types: Mapping[Key, Type] = {}
+    moment = ""
+
+    def of(self, key: Key, robot: Term) -> Val:
+        raise AssertionError(f"{key} where only params are read")
+
+
+def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
+    """The names in an axiom that stand for all values; the calls in it that are made of all of them."""
+    free = decl.free(axiom)
+    calls = [n for n in nodes(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
+    return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
+
+
+def _pairs(formula: ir.Expr, around: bool = False) -> bool:
+    """Whether a quantifier over robots stands within another."""
+    for node in nodes(formula):
+        if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
+            return around or _pairs(node.body, True)
+    return False
+
+
+def mentioned(formula: object) -> Iterator[Key]:
+    """The variables that a formula or a block reads or writes."""
+    for node in nodes(formula):
+        match node:
+            case ir.LocalOf(name) | ir.LocalRead(name) | stmt.LocalPlace(name):
+                yield "local", name
+            case ir.PortOf(module, port) | ir.PortRead(module, port) | stmt.PortPlace(module, port):
+                yield "port", f"{module}.{port}"
+            case ir.SlotRead(name) | ir.SlotsRead(name) | stmt.OwnSlot(name):
+                yield "slot", name
+            case ir.SharedRead(name) | stmt.SharedPlace(name):
+                yield "cell", name
+            case _:
+                pass

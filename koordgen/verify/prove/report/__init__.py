@@ -1,0 +1,6 @@
+"""Report: verdicts, and why a proof fails.
+
+Owns: verdicts, the assumption ledger, counterexamples replayed by the semantics, strengthenings, tables, traces.
+Offers: `verdict.prove`, `show`.
+Must not import: explore, audit, attack.
+"""

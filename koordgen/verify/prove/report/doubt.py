@@ -1,0 +1,76 @@
+"""What an UNKNOWN comes from, in the program's own terms, and what may help."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.verify.prove.report.ledger import LEMMAS
+from koordgen.verify.prove.report.spell import nodes, spelled
+from koordgen.verify.prove.smt.obligation import Fact, Obligation
+from koordgen.verify.prove.smt.solve import Answer
+from koordgen.verify.prove.smt.term import NONLINEAR
+
+MOST = 3  # of what is named
+
+
+def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown: str) -> str:
+    """Which obligation, why, and the next step, in sentences. `unshown`: why a counterexample that the solver claims
+    cannot be shown."""
+    where = f"{obligation.name} ({obligation.file}:{obligation.line})"
+    if answer.result == "unknown":
+        hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
+        if not hard:
+            return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
+        many = "products or quotients" if len(hard) > 1 else "a product or quotient"
+        terms = f"{many} of unknowns: {', '.join(hard)}"
+        helps = "; values for params (--param) may help" if program.params else ""
+        return f"{where}: {answer.reason}. What is hard in it: {terms}{helps}"
+    less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
+    known = f". The prover knows less than the program says: {'; '.join(less)}" if less else ""
+    loops = any("of what the loop writes" in note for note in obligation.notes)
+    say = "an invariant of the loop, an invariant" if loops else "an invariant"
+    return f"{where}: {unshown}{known}. Say more of it in {say}, a contract or an axiom"
+
+
+def exhausted(answer: Answer) -> bool:
+    """Whether a solver had too little time or memory, rather than that it broke, or gave up."""
+    return any(word in answer.reason for word in ("--timeout", "memory"))
+
+
+def _many(obligation: Obligation) -> str:
+    """What there is most of in an obligation."""
+    (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
+    if not count:
+        return ""
+    return f". It is linear: what is hard in it is how much it is, {len(obligation.facts)} facts, {count} of `{label}`"
+
+
+def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
+    """The program's expressions that make an obligation non-linear, with their lines."""
+    facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
+    if not any(fact.term.traits & NONLINEAR for fact in facts):
+        return
+    events = tuple([event for event in program.events if event.name == obligation.event])
+    for part in (events, program.init, program.functions, program.properties, program.modules):
+        within: set[ir.Expr] = set()  # of those that were named
+        for node in nodes(part):
+            match node:
+                case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):
+                    if node not in within:
+                        yield f"`{spelled(node)}` (line {node.span.line})"
+                    within.update(n for n in nodes(node) if isinstance(n, ir.Binary))
+    if any(fact.label == "distance of two points" and not fact.line for fact in facts):
+        yield "distances told by the squares of coordinates"
+
+
+def _literal(node: ir.Expr) -> bool:
+    match node:
+        case ir.Const():
+            return True
+        case ir.Unary(_, operand) | ir.Widen(operand):
+            return _literal(operand)
+        case _:
+            return False

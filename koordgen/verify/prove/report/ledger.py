@@ -1,0 +1,117 @@
+"""The assumption ledger: all that a verdict takes for granted, and where it is looked after when robots run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.lang.source import Span
+from koordgen.verify.prove.encode.geometry import DISTANCES, PATHS
+from koordgen.verify.prove.report.spell import nodes, spelled
+from koordgen.verify.prove.smt.obligation import Obligation
+
+AGENTS = (
+    "agents and simulator check it at each call; where it does not hold, the event is discarded "
+    "(runtime/program/extern.py)"
+)
+DISCARDED = "agents discard an event that would; a property that compares NaN has no value (`koordgen docs proofs`)"
+SIMULATOR = "the simulator watches it in each run (`koordgen docs sim`)"
+UNCHECKED = ""
+HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
+STARTED = "every robot's init has a result: otherwise no mission begins"
+AGENTS_START = (
+    "agents hold before round 1 until all have it, and a robot whose init is discarded ends (`koordgen docs safety`)"
+)
+COMPARED = "koordgen's own tests compare it with what robots compute (`koordgen docs proofs`)"
+LEMMAS = frozenset((DISTANCES, PATHS))
+
+
+class Entry(NamedTuple):
+    """One assumption: what kind, what it says, where the program says so (line 0: nowhere), and what checks it at run
+    time; empty where nothing does."""
+
+    kind: str
+    text: str
+    file: str
+    line: int
+    checked: str
+
+
+class Ledger:
+    """Of one program."""
+
+    def __init__(self, program: decl.Program) -> None:
+        self.program = program
+        self.written = tuple(_written(program))
+        self.general = tuple(_general(program))
+
+    def of(self, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
+        """What these rest on: the parts of the program that stand among their facts, and their notes."""
+        used: set[int] = set()
+        notes: dict[str, None] = {}
+        for obligation in obligations:
+            used.update([fact.line for fact in obligation.facts])
+            notes.update(dict.fromkeys(obligation.notes))
+        written = [entry for entry, span in self.written if used.intersection(range(span.line, span.end_line + 1))]
+        return (*written, *self.general, *[_noted(note, self.program) for note in notes])
+
+
+def _noted(note: str, program: decl.Program) -> Entry:
+    if note in LEMMAS:
+        return Entry("lemma", note, program.path, 0, COMPARED)
+    return Entry("approximation", note, program.path, 0, HARMLESS)
+
+
+def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
+    """What the program itself assumes."""
+    for module in program.modules:
+        for assumption in module.assumptions:
+            text = f"{module.name}: {spelled(assumption.formula)}"
+            checked = _watched(assumption.formula, program)
+            yield Entry("port assumption", text, program.path, assumption.span.line, checked), assumption.span
+    for property_ in program.properties:
+        if property_.kind in ("initially", "axiom"):
+            text = f"{property_.name}: {spelled(property_.formula)}".removeprefix(": ")
+            checked = _watched(property_.formula, program) if property_.kind == "initially" else UNCHECKED
+            yield Entry(property_.kind, text, program.path, property_.span.line, checked), property_.span
+    for extern in program.externs:
+        for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures)):
+            for formula in formulas:
+                text = f"{extern.name} {word} {spelled(formula)}"
+                yield Entry("contract", text, program.path, formula.span.line, AGENTS), formula.span
+
+
+def _watched(formula: ir.Expr, program: decl.Program) -> str:
+    """What a `spec fun` says nobody can evaluate, and so not watch."""
+    specs = {spec.name for spec in program.specs}
+    return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in nodes(formula)) else SIMULATOR
+
+
+def _general(program: decl.Program) -> Iterator[Entry]:
+    if program.init:
+        yield Entry("start", STARTED, program.path, program.init[0].span.line, AGENTS_START)
+    types = [v.type for v in program.shared] + [v.type for v in program.locals] + [v.type for v in program.params]
+    types += [port.type for module in program.modules for port in module.ports]
+    if any(map(_real, types)):
+        text = "numbers are real numbers; robots round each result to 53 bits, and to infinity beyond 1.8e308"
+        yield Entry("arithmetic", text, program.path, 0, UNCHECKED)
+        text = "no event compares NaN, nor keeps or sends NaN or infinity"
+        yield Entry("arithmetic", text, program.path, 0, DISCARDED)
+
+
+def _real(type_: Type) -> bool:
+    """Whether values of a type hold real numbers."""
+    match type_:
+        case Sequence(_, element) | PerRobot(element):
+            return _real(element)
+        case MapOf(key, value):
+            return _real(key) or _real(value)
+        case TupleOf(items):
+            return any(map(_real, items))
+        case RecordType(_, fields):
+            return any(_real(field) for _, field in fields)
+        case _:
+            return type_ in (FLOAT, POINT, POSE)

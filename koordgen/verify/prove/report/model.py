@@ -1,0 +1,335 @@
+"""A solver's model as states of the program, and the step that it tells of, run by the executable semantics.
+
+A solver is not believed when it says `sat`: what it found is shown only as what the semantics made of it, in exact
+arithmetic, from a state in which the invariants hold to one in which they do not.
+"""
+
+from __future__ import annotations
+
+import math
+from base64 import b64encode
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from koordgen.lang.diagnostics import InternalError
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.node import nodes, replace
+from koordgen.lang.semantics.eval import Discarded, View, elements, holds
+from koordgen.lang.semantics.exact import NotExact, made_exact
+from koordgen.lang.semantics.exec import Budget, NoMeaning, library
+from koordgen.lang.semantics.property import holds_assumption, holds_property
+from koordgen.lang.semantics.state import NOTHING, Robot, State, Store
+from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, initial, no_port, run_init
+from koordgen.lang.semantics.values import RecordValue, Value
+from koordgen.runtime.values.gridmap import GridMap
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
+from koordgen.verify.prove.report.reading import Reader, Unshowable
+from koordgen.verify.prove.report.served import Served
+from koordgen.verify.prove.smt.obligation import Cell, Moment, Obligation
+
+
+class Conjunct(NamedTuple):
+    """The part of a formula that decides it: `names` are the quantified names that it reads, with their values."""
+
+    formula: ir.Expr
+    names: Mapping[str, Value]
+
+
+class Counterexample(NamedTuple):
+    """One step that leads from a state in which all invariants hold to one in which `failed` does not. `begun` is the
+    store at the round's start, which a plain event reads; `pid` is None where all robots moved; `discarded` says why
+    the event has no result, where that is what is wrong. `seen` are the names of variables that matter."""
+
+    invariant: str
+    kind: str
+    event: str
+    pid: int | None
+    file: str
+    line: int
+    begun: Store
+    before: State
+    after: State
+    failed: Conjunct | None
+    discarded: str
+    seen: frozenset[str]
+
+
+class Reading:
+    """A model, as the states that it tells of."""
+
+    def __init__(self, program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> None:
+        self.obligation = obligation
+        self.robots = robots
+        self.reader = reader
+        params = {c.name: self.value(c) for c in obligation.cells if c.name in {p.name for p in program.params}}
+        self.program = with_values(program, params)
+
+    def value(self, cell: Cell) -> Value:
+        return self.reader.value(cell.type, cell.terms, cell.name)
+
+    def state(self, moment: Moment) -> State:
+        """The fleet at a moment; what the obligation does not speak of is as at first."""
+        first = made_state(initial(self.program, self.robots))
+        locals_ = [dict(robot.locals) for robot in first.robots]
+        ports = [dict(robot.ports) for robot in first.robots]
+        slots = {name: list(values) for name, values in first.store.slots.items()}
+        cells = dict(first.store.cells)
+        for cell in self.obligation.cells:
+            if cell.moment != moment or cell.name in first.params:
+                continue
+            if cell.robot is None:
+                if cell.name in cells:
+                    cells[cell.name] = self.value(cell)
+                continue
+            pid = self.reader.of[id(cell.robot)]
+            if not isinstance(pid, int) or not 0 <= pid < self.robots:
+                continue
+            for places in (locals_[pid], ports[pid]):
+                if cell.name in places:
+                    places[cell.name] = self.value(cell)
+            if cell.name in slots:
+                slots[cell.name][pid] = self.value(cell)
+        robots = tuple(Robot(own, port, False) for own, port in zip(locals_, ports, strict=True))
+        store = Store({name: tuple(values) for name, values in slots.items()}, cells)
+        return first._replace(robots=robots, store=store, round=1)
+
+    def has(self, moment: Moment) -> bool:
+        return any(cell.moment == moment for cell in self.obligation.cells)
+
+
+def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:
+    """The program with some params set to values."""
+    params = [replace(p, default=constant(values[p.name], p)) if p.name in values else p for p in program.params]
+    return replace(program, params=tuple(params))
+
+
+def constant(value: Value, param: decl.Param) -> ir.Expr:
+    """A value as an expression: only for the semantics, which takes a constant's value as it is."""
+    return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
+
+
+def made_state(state: State) -> State:
+    """A state with all its numbers exact."""
+    robots = tuple(Robot(exact_all(r.locals), exact_all(r.ports), r.stopped) for r in state.robots)
+    slots = {name: tuple(map(made_exact, values)) for name, values in state.store.slots.items()}
+    return State(exact_all(state.params), robots, Store(slots, exact_all(state.store.cells)), state.round)
+
+
+def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
+    return {name: made_exact(value) for name, value in values.items()}
+
+
+def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> Counterexample:
+    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be
+    relied upon. Raises Unshowable where the run does not show what the solver claims."""
+    try:
+        reading = Reading(program, obligation, reader, robots)
+        match obligation.kind:
+            case "base":
+                return _base(reading)
+            case "environment":
+                return _environment(reading)
+            case "well-defined" if obligation.event == "init":
+                return _init(reading)
+            case "loop" if obligation.event not in {event.name for event in program.events}:
+                raise Unshowable("only turns of loops in events are run")
+            case "event" | "well-defined" | "loop":
+                return _event(reading)
+            case _:
+                raise InternalError(f"{obligation.name} has no counterexample")
+    except NotExact as error:
+        raise Unshowable(f"it cannot be run exactly: {error}") from None
+    except NoMeaning as error:
+        raise Unshowable(f"it cannot be run: {error}") from None
+
+
+def _base(reading: Reading) -> Counterexample:
+    before, after, discarded = _begun(reading)
+    if discarded is not None:
+        raise Unshowable(f"no mission begins: init has no result, {discarded.outcome}")
+    return _told(reading, before.store, before, after, None, "")
+
+
+def _init(reading: Reading) -> Counterexample:
+    before, _, discarded = _begun(reading)
+    if discarded is None:
+        raise Unshowable("init, when it is run, has a result")
+    return _told(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
+
+
+def _begun(reading: Reading) -> tuple[State, State, Step | None]:
+    """A fleet before and after every robot's init; the first init that is discarded, if one is."""
+    before = reading.state("before" if reading.has("before") else "round start")
+    for property_ in reading.program.properties:
+        if property_.kind == "initially" and not true(property_, reading.program, before):
+            raise Unshowable("what holds initially does not hold in it")
+    served = Served(reading.program, reading.reader)
+    after, steps = run_init(reading.program, before, served.world)
+    if served.missing or served.asked:
+        raise Unshowable("what is asked in init is known only by what is said of it")
+    return before, after, next((s for s in steps if isinstance(s.outcome, Discarded)), None)
+
+
+def _environment(reading: Reading) -> Counterexample:
+    program = reading.program
+    before, after = reading.state("before"), reading.state("after")
+    sensors = [f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"]
+    moved = [
+        old._replace(ports={**old.ports, **{name: new.ports[name] for name in sensors}})
+        for old, new in zip(before.robots, after.robots, strict=True)
+    ]
+    _relied_upon(program, before)
+    for pid, (old, new) in enumerate(zip(before.robots, moved, strict=True)):
+        if not allowed(program, old.ports, new.ports, pid, before):
+            raise Unshowable("an assumption does not hold in it")
+    return _told(reading, before.store, before, before._replace(robots=tuple(moved)), None, "")
+
+
+def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State) -> bool:
+    """Whether every assumption holds of one robot's step. Raises Unshowable where one cannot be evaluated."""
+    try:
+        return all(
+            holds_assumption(a, program, old, new, pid, len(state.robots), state.params)
+            for module in program.modules
+            for a in module.assumptions
+        )
+    except Discarded as error:
+        raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
+
+
+def _event(reading: Reading) -> Counterexample:
+    program, obligation = reading.program, reading.obligation
+    before = reading.state("before")
+    start = reading.state("round start") if reading.has("round start") else before
+    begun = start.store
+    event = next(e for e in program.events if e.name == obligation.event)
+    seen = before if event.lock is not None else before._replace(store=begun)
+    _relied_upon(program, before)
+    _relied_upon(program, start)
+    why = "no robot can take the step"
+    for pid in range(reading.robots):
+        served = Served(program, reading.reader)
+        try:
+            if not has_priority(program, event, before._replace(store=begun), pid, served.world):
+                why = "an earlier event of the same priority block goes first"
+                continue
+            if not enabled(program, event, seen, pid, served.world):
+                continue
+            outcome = execute(program, event.effect, seen, pid, served.world)
+        except (Discarded, InternalError) as fault:
+            outcome = fault if isinstance(fault, Discarded) else Discarded(str(fault), event.span)
+        served.check(seen, pid)
+        if isinstance(outcome, Discarded):
+            why = outcome.reason
+            if obligation.kind == "well-defined":
+                return _told(reading, begun, before, before, pid, str(outcome))
+            continue
+        after = applied(before, Step(pid, event.name, outcome))
+        stated = [claim for claim in nodes(event.effect) if isinstance(claim, stmt.LoopInvariant)]
+        for claim in stated if obligation.kind == "loop" else ():
+            if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":
+                return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
+        if obligation.kind == "event" and not _all_true(obligation.invariant, program, after):
+            return _told(reading, begun, before, after, pid, "")
+        why = "the step, when it is run, keeps the invariant"
+    raise Unshowable(why)
+
+
+def _relied_upon(program: decl.Program, state: State) -> None:
+    for property_ in program.properties:
+        if property_.kind == "invariant" and not true(property_, program, state):
+            raise Unshowable(f"{property_.name} does not hold before the step")
+
+
+def _all_true(name: str, program: decl.Program, state: State) -> bool:
+    return all(true(p, program, state) for p in program.properties if p.name == name and p.kind == "invariant")
+
+
+def true(property_: decl.Property, program: decl.Program, state: State) -> bool:
+    """Whether a property holds; where it has no value it does not."""
+    try:
+        return holds_property(property_, program, state)
+    except Discarded:
+        return False
+
+
+def _told(
+    reading: Reading, begun: Store, before: State, after: State, pid: int | None, discarded: str
+) -> Counterexample:
+    obligation = reading.obligation
+    failed = None
+    for property_ in reading.program.properties:
+        if property_.name == obligation.invariant and property_.kind == "invariant":
+            failed = failing(property_, reading.program, after)
+    if failed is None and not discarded:
+        raise Unshowable("the step, when it is run, keeps the invariant")
+    return _seen(reading, begun, before, after, pid, failed, discarded)
+
+
+def _seen(
+    reading: Reading, begun: Store, before: State, after: State, pid: int | None, failed: Conjunct | None,
+    discarded: str,
+) -> Counterexample:  # fmt: skip
+    obligation = reading.obligation
+    seen = frozenset(cell.name for cell in obligation.cells)
+    line = failed.formula.span.line if failed is not None else obligation.line
+    kind, event, file = obligation.kind, obligation.event, obligation.file
+    return Counterexample(
+        obligation.invariant, kind, event, pid, file, line, begun, before, after, failed, discarded, seen
+    )
+
+
+def failing(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
+    """The part of a property that makes it false in a state; None where it holds."""
+    view = library(program, len(state.robots), state.params, NOTHING, Budget(), no_port)
+    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
+    return _failing(property_.formula, view)
+
+
+def _failing(node: ir.Expr, view: View) -> Conjunct | None:
+    try:
+        if holds(node, view):
+            return None
+    except Discarded:
+        return Conjunct(node, dict(view.temps))
+    match node:
+        case ir.Logic("and", left, right):
+            return _failing(left, view) or _failing(right, view)
+        case ir.Quantified("forall", name, domain, body):
+            for value in elements(domain, view):
+                found = _failing(body, view._replace(temps={**view.temps, name: value}))
+                if found is not None:
+                    return found
+            return None
+        case _:
+            return Conjunct(node, dict(view.temps))
+
+
+def plain_value(value: Any) -> Any:
+    """A value for JSON: exact numbers as text where a float would round them."""
+    match value:
+        case bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else str(value)
+        case Fraction():
+            return value.numerator if value.denominator == 1 else _float(value)
+        case Point(x, y, z):
+            return [plain_value(x), plain_value(y), plain_value(z)]
+        case RecordValue(_, fields):
+            return [plain_value(field) for field in fields]
+        case tuple():
+            return [plain_value(part) for part in value]
+        case bytes():
+            return b64encode(value).decode()
+        case Pose() | Grid() | Scan() | GridMap() | Opaque():
+            return [plain_value(getattr(value, name)) for name in value.__struct_fields__]
+        case _:
+            return str(value)
+
+
+def _float(value: Fraction) -> float | str:
+    near = float(value) if abs(value) < 10**300 else 0.0
+    return near if near == value else str(value)

@@ -1,0 +1,297 @@
+"""Runs from initial states, a bounded number of them, that look for one in which an invariant is false.
+
+Only a run that the semantics makes counts, so what is found is a fact; that nothing is found says nothing. The
+environment is made finite: a sensor takes the values that the program and the counterexample to induction speak of,
+as far as the assumptions allow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from fractions import Fraction
+from itertools import islice, product
+from typing import Any, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
+from koordgen.lang.node import Node
+from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exact import NotExact, made_exact
+from koordgen.lang.semantics.exec import NoMeaning
+from koordgen.lang.semantics.relations import choice, is_order_of_agents
+from koordgen.lang.semantics.state import State, World
+from koordgen.lang.semantics.step import Step, applied, initial, round_, run_init, select, sense
+from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Span
+from koordgen.runtime.values.points import Point
+from koordgen.verify.prove.report.model import Conjunct, allowed, failing, made_state, true
+from koordgen.verify.prove.report.reading import Unshowable
+
+ENVIRONMENT = "(environment)"
+
+
+class Bounds(NamedTuple):
+    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
+    computing (on a busy computer they take longer)."""
+
+    robots: int = 3
+    rounds: int = 6
+    states: int = 1500
+    values: int = 6
+    moves: int = 12
+    seconds: float = 0.25
+
+
+class Moment(NamedTuple):
+    """A state of a run, and what led to it: "" at first, "init", an event's name, "(environment)"."""
+
+    state: State
+    event: str
+    pid: int | None
+    round: int
+
+
+class Run(NamedTuple):
+    """From an initial state to one in which an invariant is false. `of_agents`: agents can do each round of it."""
+
+    moments: tuple[Moment, ...]
+    failed: Conjunct
+    of_agents: bool
+
+
+def run_to(
+    program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
+) -> Run | None:
+    """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
+    sensors may take. Where agents cannot do the first one that is found, one of no more rounds that they can do is
+    looked for, as long again."""
+    fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
+    known = tuple(hints)
+    found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
+    if found is None or found.of_agents:
+        return found
+    bounds = bounds._replace(rounds=found.moments[-1].round)
+    return _searched(program, invariant, known, bounds, fleets, as_agents=True) or found
+
+
+def _searched(
+    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, fleets: Iterable[int],
+    as_agents: bool,
+) -> Run | None:  # fmt: skip
+    until = time.process_time() + bounds.seconds
+    try:
+        with ends(Deadline(time.process_time, until)):
+            for n_sys in fleets:
+                found = _Search(program, invariant, hints, bounds, until, as_agents).of(n_sys)
+                if found is not None:
+                    return found
+    except (NotExact, NoMeaning, OutOfTime):
+        return None  # a run that cannot be made exactly, or takes too long, shows nothing
+    return None
+
+
+class _Search:
+    """`as_agents`: of each robot only the event is tried that agents choose."""
+
+    def __init__(
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float,
+        as_agents: bool,
+    ) -> None:  # fmt: skip
+        self.program = program
+        self.invariant = invariant
+        self.bounds = bounds
+        self.until = until
+        self.world = World({}, no_way)
+        self.sensors = [
+            (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
+        ]
+        self.pools = Pools(hints, literals(program.properties), bounds.values)
+        self.as_agents = as_agents
+
+    def of(self, n_sys: int) -> Run | None:
+        layer: list[tuple[Moment, ...]] = []
+        for start in self.starts(n_sys):
+            ready, steps = run_init(self.program, start, self.world)
+            if not any(isinstance(step.outcome, Discarded) for step in steps):  # otherwise no mission begins
+                layer.append((Moment(start, "", None, 0), Moment(ready, "init", None, 0)))
+        found = self.broken(layer)
+        seen: list[State] = []
+        while layer and found is None and layer[0][-1].round < self.bounds.rounds:
+            reached = list(islice(self.rounds(layer, seen), self.bounds.states))
+            found = self.broken(reached)
+            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins behind such a step
+        return found
+
+    def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
+        for run in layer:
+            failed = failing(self.invariant, self.program, run[-1].state)
+            if failed is not None:
+                return Run(run, failed, self.of_agents(run))
+        return None
+
+    def of_agents(self, run: tuple[Moment, ...]) -> bool:
+        """Return whether agents can do a run; False where a guard cannot be evaluated exactly."""
+        try:
+            return is_order_of_agents(self.program, run, self.world)
+        except (NotExact, NoMeaning):
+            return False
+
+    def starts(self, n_sys: int) -> Iterator[State]:
+        """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
+        first = made_state(initial(self.program, n_sys))
+        rules = [p for p in self.program.properties if p.kind == "initially"]
+        pools = [[(name, v) for v in self.pools.first(name, type_, first)] for name, type_ in self.sensors]
+        single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
+        fleets = islice(product(single, repeat=n_sys), self.bounds.states)
+        count = 0
+        for fleet in fleets:
+            state = made_state(initial(self.program, n_sys, fleet))
+            if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
+                count += 1
+                yield state
+
+    def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
+        """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
+        for run in layer:
+            state = run[-1].state
+            for stepped in (run, *self.stepped(run, state)):
+                if time.process_time() > self.until or len(seen) > self.bounds.states:
+                    return
+                if stepped is not run:
+                    yield stepped  # whatever comes after: here the program's step has ended
+                for moved in self.moved(stepped[-1].state):
+                    fresh = moved._replace(round=0)
+                    if fresh not in seen:
+                        seen.append(fresh)
+                        yield (*stepped, Moment(moved, ENVIRONMENT, None, run[-1].round + 1))
+
+    def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
+        number = run[-1].round + 1
+        for pid in range(len(state.robots)):
+            for step in self.events(state, pid):
+                yield (*run, Moment(applied(state, step), str(step.event), pid, number))
+        if len(state.robots) > 1:
+            steps: list[Step] = []
+            with suppress(NotExact, NoMeaning):
+                steps = round_(self.program, state, world=self.world)[1]
+            moments = list(run)
+            for step in steps:
+                if step.event is not None and not isinstance(step.outcome, Discarded):
+                    moments.append(Moment(applied(moments[-1].state, step), step.event, step.pid, number))
+            if len(moments) > len(run):
+                yield tuple(moments)
+
+    def events(self, state: State, pid: int) -> Iterator[Step]:
+        """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""
+        if state.robots[pid].stopped:
+            return
+        for event in self.tried(state, pid):
+            with suppress(NotExact, NoMeaning):
+                step = choice(self.program, event, state, pid, None, self.world)
+                if step is not None:
+                    yield step
+
+    def tried(self, state: State, pid: int) -> tuple[decl.Event, ...]:
+        if not self.as_agents:
+            return self.program.events
+        with suppress(NotExact, NoMeaning):
+            chosen = select(self.program, state, pid, self.world)
+            return (chosen,) if isinstance(chosen, decl.Event) else ()
+        return ()
+
+    def moved(self, state: State) -> Iterator[State]:
+        """The environment's step: all robots, each to a value that the assumptions allow."""
+        each = []
+        for pid, robot in enumerate(state.robots):
+            pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
+            found = []
+            for moves in islice(product(*pools), 4 * self.bounds.moves):
+                new = {**robot.ports, **dict(moves)}
+                try:
+                    if allowed(self.program, robot.ports, new, pid, state):
+                        found.append(dict(moves))
+                except Unshowable:
+                    continue
+            each.append(found[: self.bounds.values])
+        for fleet in islice(product(*each), self.bounds.moves):
+            yield sense(state, fleet)
+
+
+class Pools:
+    """The values that sensors are tried with: of each type those of which the program and some hints speak, at most
+    `count` of them."""
+
+    def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
+        self.hints, self.spoken = tuple(hints), tuple(spoken)
+        self.count = count
+
+    def first(self, name: str, type_: Type, state: State) -> list[Value]:
+        """The values of a sensor at a mission's start. `reached` is true there where its module has a command, because
+        an unset actuator holds."""
+        module, _, port = name.partition(".")
+        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
+        return [True] if port == "reached" and commands else self.pool(type_, state)
+
+    def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
+        """The values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
+        commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
+        return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
+
+    def pool(self, type_: Type, state: State) -> list[Value]:
+        """The values of a type that the program and the hints speak of."""
+        if type_ == BOOL:
+            return [True, False]
+        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.spoken) if _is(v, type_)]
+        if type_ == POINT:
+            known += [_apart(i) for i in range(len(state.robots))]
+        if type_ == FLOAT:
+            known.append(Fraction(0))  # type: ignore[arg-type]
+        if type_ == INT:
+            known.append(0)
+        return _distinct(known)[: self.count]
+
+
+def _apart(i: int) -> Point:
+    return Point(Fraction(i), Fraction(0), Fraction(0))  # type: ignore[arg-type]
+
+
+def _is(value: Any, type_: Type) -> bool:
+    kinds: dict[object, Any] = {POINT: Point, FLOAT: Fraction}
+    if type_ == INT:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return type_ in kinds and isinstance(value, kinds[type_])
+
+
+def literals(node: object) -> Iterator[Value]:
+    """The numbers that formulas or statements name."""
+    match node:
+        case ir.Const(value):
+            if not isinstance(value, (bool, str)):
+                yield made_exact(value)
+        case tuple():
+            for part in node:
+                yield from literals(part)
+        case Span():
+            return
+        case Node():
+            for field in type(node).__match_args__:  # type: ignore[attr-defined]
+                yield from literals(getattr(node, field))
+        case _:
+            return
+
+
+def _distinct(values: Iterable[Any]) -> list[Any]:
+    found: list[Any] = []
+    for value in values:
+        if value not in found:
+            found.append(value)
+    return found
+
+
+def no_way(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+    """A callable port that knows no way."""
+    return ()

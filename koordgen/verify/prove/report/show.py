@@ -1,0 +1,181 @@
+"""Verdicts as people read them, at most 100 columns wide, and as data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from koordgen.verify.prove.report.verdict import WELL_DEFINED, Verdict
+
+if TYPE_CHECKING:  # a proof needs nothing of what shows counterexamples
+    from koordgen.verify.prove.report.explain import Explanation
+
+WIDTH = 100
+
+
+class Attacked(NamedTuple):
+    """How many states one obligation was attacked with; why none, where it is 0."""
+
+    states: int
+    reason: str
+
+
+Attacks = Mapping[str, Attacked]  # by the obligation's name
+
+
+def report(verdicts: Sequence[Verdict], path: str, attacks: Attacks) -> str:
+    """All verdicts, then what they take for granted."""
+    robots = verdicts[0].robots if verdicts else None
+    fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
+    lines = [f"{path}, for {fleet}", ""]
+    for verdict in verdicts:
+        lines += [*_verdict(verdict, attacks), ""]
+    if not verdicts:
+        lines.append("the program has no invariants: there is nothing to prove")
+    lines += _ledger(verdicts)
+    return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+
+
+def _verdict(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
+    count = len(verdict.outcomes)
+    seconds = sum(o.answer.seconds for o in verdict.outcomes)
+    measured = f"{count} obligation{'s' * (count != 1)}, {1000 * seconds:.0f} ms"
+    if verdict.verdict == "PROVED":
+        states = attacked_states(verdict, attacks)
+        measured += f"; attacked with {states} state{'s' * (states != 1)}"
+    yield f"{verdict.verdict:<14} {verdict.invariant}  ({measured})"
+    if verdict.verdict == "PROVED":
+        yield from _unattacked(verdict, attacks)
+    if verdict.rests_on:
+        yield from wrapped(f"rests on {', '.join(verdict.rests_on)}")
+    if verdict.reason:
+        yield from wrapped(verdict.reason)
+    told = verdict.explanation
+    if told is None:
+        return
+    if told.counterexample is None:
+        return
+    from koordgen.verify.prove.report.table import counterexample, run_lines
+
+    if told.run is not None:
+        yield from wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
+        yield from run_lines(told.run, told.counterexample)
+        if suggestion(verdict):
+            yield from wrapped(suggestion(verdict))
+        return
+    yield from counterexample(told.counterexample)
+    guarded = "guard it, or say in an invariant that it does not happen"
+    untold = guarded if verdict.invariant == WELL_DEFINED else "no conjunct that was tried closes the proof"
+    yield from wrapped(suggestion(verdict) or untold)
+
+
+def attacked_states(verdict: Verdict, attacks: Attacks) -> int:
+    """The states of all steps that an invariant was attacked with; obligations of one step share theirs."""
+    steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
+    return sum(steps.values())
+
+
+def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
+    """The obligations that no state was found for, by their reasons."""
+    names: dict[str, list[str]] = {}
+    for outcome in verdict.outcomes:
+        states, reason = attacks[outcome.obligation.name]
+        if not states:
+            names.setdefault(reason, []).append(outcome.obligation.name)
+    for reason, group in names.items():
+        which = "" if len(group) == len(verdict.outcomes) else f" {', '.join(group)}"
+        yield from wrapped(f"not attacked{which}: {reason}")
+
+
+def wrapped(text: str) -> list[str]:
+    """A sentence over as many lines as it takes."""
+    return filled(text, "  ", "  ")
+
+
+def filled(text: str, first: str, rest: str) -> list[str]:
+    """Words in lines, with what the first begins with, and the others. To import textwrap takes 0.7 ms."""
+    lines, line = [], ""
+    for word in text.split():
+        if line and len(line) + 1 + len(word) > WIDTH:
+            lines.append(line)
+            line = ""
+        line = f"{line} {word}" if line else (rest if lines else first) + word
+    return [*lines, line]
+
+
+def suggestion(verdict: Verdict) -> str:
+    """What closes the proof, in a sentence; empty where that is not known."""
+    told = verdict.explanation
+    if told is not None and told.usual:
+        return (
+            f"with the params as the program has them {verdict.invariant} is PROVED: say in `initially` what they must "
+            "satisfy, or fix them by --param"
+        )
+    if told is None:
+        return ""
+    added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)
+    if told.unassumed:
+        said = f"nothing is assumed of what {' and '.join(told.unassumed)} is after a step: it may be anything"
+        if not told.supposed:
+            return f"{said}; say what holds by an `assume` of the module"
+        supposed = " and ".join(f"`{assumption}`" for assumption in told.supposed)
+        more = f", and {added} in {verdict.invariant}" if added else ""
+        return f"{said}; with {supposed}{more} it is PROVED"
+    return f"add {added} to {verdict.invariant}: then it is PROVED" if added else ""
+
+
+def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
+    entries = dict.fromkeys(entry for verdict in verdicts for entry in verdict.assumptions)
+    if not entries:
+        return
+    yield "assumed:"
+    for entry in entries:
+        place = f" ({entry.file}:{entry.line})" if entry.line else ""
+        checked = f"checked: {entry.checked}" if entry.checked else "unchecked"
+        yield from filled(f"{entry.kind}: {entry.text}{place}; {checked}", "  - ", "    ")
+
+
+def document(found: Iterable[tuple[Sequence[Verdict], Attacks]]) -> dict[str, Any]:
+    """All verdicts as JSON has them, for each number of robots with its attacks."""
+    return {"invariants": [_json(verdict, attacks) for verdicts, attacks in found for verdict in verdicts]}
+
+
+def _json(verdict: Verdict, attacks: Attacks) -> dict[str, Any]:
+    told = verdict.explanation
+    obligations = [
+        {
+            "name": o.obligation.name,
+            "file": o.obligation.file,
+            "line": o.obligation.line,
+            "result": o.answer.result,
+            "seconds": round(o.answer.seconds, 6),
+            **_attacked(attacks[o.obligation.name]),
+        }
+        for o in verdict.outcomes
+    ]
+    rests = [
+        {"kind": "invariant", "text": name, "file": "", "line": 0, "checked": "PROVED here"}
+        for name in verdict.rests_on
+    ]
+    return {
+        "name": verdict.invariant,
+        "verdict": verdict.verdict,
+        "robots": "any" if verdict.robots is None else verdict.robots,
+        "obligations": obligations,
+        "counterexample": _found(told) if told is not None else None,
+        "suggestion": suggestion(verdict) or verdict.reason or None,
+        "assumptions": [*rests, *(entry._asdict() for entry in verdict.assumptions)],
+    }
+
+
+def _attacked(attacked: Attacked) -> dict[str, Any]:
+    states, reason = attacked
+    return {"attacked": states} if states else {"attacked": 0, "not_attacked": reason}
+
+
+def _found(told: Explanation) -> dict[str, Any] | None:
+    if told.counterexample is None:
+        return None
+    from koordgen.verify.prove.report.table import data
+
+    return data(told.counterexample, told.run)

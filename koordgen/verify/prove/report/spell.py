@@ -1,0 +1,163 @@
+"""Formulas as a program writes them: what is told to users and proposed to them is Koord."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from typing import Any
+
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Type
+from koordgen.lang.node import Node
+from koordgen.lang.source import Span
+
+_BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
+_ORDER = {"<", "<="}
+_LOOSE, _NOT, _COMPARE, _UNARY, _ATOM = 0, 3, 4, 7, 9
+MOST_DIGITS = 9
+
+
+def spelled(node: ir.Expr) -> str:
+    """An expression in Koord, with no bracket too many."""
+    return _text(node)[0]
+
+
+def _in(node: ir.Expr, least: int) -> str:
+    text, binding = _text(node)
+    return text if binding >= least else f"({text})"
+
+
+def _text(node: ir.Expr) -> tuple[str, int]:
+    """The text, and how tightly its loosest operator binds."""
+    match node:
+        case ir.Widen(operand):
+            return _text(operand)
+        case ir.Unary("not", operand):
+            return f"not {_in(operand, _NOT)}", _NOT
+        case ir.Unary(op, operand):
+            return f"{op}{_in(operand, _UNARY)}", _UNARY
+        case ir.Logic("and"):
+            parts = _chained(list(_conjuncts(node)))
+            return " and ".join(parts), _BINDING["and"] if len(parts) > 1 else _COMPARE
+        case ir.Binary(op, left, right) | ir.Logic(op, left, right):
+            level = _BINDING[op]
+            sides = (level + 1, level) if op == "**" else (level, level + (0 if op in ("and", "or") else 1))
+            return f"{_in(left, sides[0])} {op} {_in(right, sides[1])}", level
+        case ir.Compare(op, left, right):
+            return f"{_in(left, _COMPARE + 1)} {op} {_in(right, _COMPARE + 1)}", _COMPARE
+        case ir.Contains(item, values):
+            return f"{_in(item, _COMPARE + 1)} in {_in(values, _COMPARE + 1)}", _COMPARE
+        case ir.Conditional(condition, then, orelse):
+            return f"{_in(then, 1)} if {_in(condition, 1)} else {_in(orelse, _LOOSE)}", _LOOSE
+        case ir.Quantified(kind, name, domain, body):
+            return f"{kind} {name} in {_in(domain, 1)}: {_in(body, _LOOSE)}", _LOOSE
+        case _:
+            return _atom(node), _ATOM
+
+
+def _conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
+    if isinstance(node, ir.Logic) and node.op == "and":
+        yield from _conjuncts(node.left)
+        yield from _conjuncts(node.right)
+    else:
+        yield node
+
+
+def _chained(parts: list[ir.Expr]) -> list[str]:
+    """The texts of conjuncts; `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
+    found: list[str] = []
+    last: ir.Expr | None = None
+    for part in parts:
+        chain = isinstance(last, ir.Compare) and isinstance(part, ir.Compare) and last.right == part.left
+        if chain and isinstance(part, ir.Compare) and isinstance(last, ir.Compare) and {last.op, part.op} <= _ORDER:
+            found[-1] += f" {part.op} {_in(part.right, _COMPARE + 1)}"
+        else:
+            found.append(_in(part, _BINDING["and"]))
+        last = part
+    return found
+
+
+def _atom(node: ir.Expr) -> str:
+    match node:
+        case ir.Const(value):
+            return number(Fraction(value)) if isinstance(value, (float, Fraction)) else repr(value)
+        case ir.Pid():
+            return "pid"
+        case ir.NSys():
+            return "N_SYS"
+        case ir.Ids():
+            return "ID"
+        case (
+            ir.TempRead(name) | ir.ParamRead(name) | ir.LocalRead(name) | ir.SharedRead(name) | ir.SlotsRead(name)
+        ):  # fmt: skip
+            return name
+        case ir.SlotRead(name, index) | ir.LocalOf(name, index):
+            return f"{name}[{spelled(index)}]"
+        case ir.PortRead(module, port, primed):
+            return f"{module}.{port}{_prime(primed)}"
+        case ir.PortOf(module, port, robot):
+            return f"{module}.{port}[{spelled(robot)}]"
+        case ir.Range(start, stop, step):
+            return f"range({', '.join([spelled(start), spelled(stop), *([str(step)] if step != 1 else [])])})"
+        case ir.Make(items, type_):
+            return _made(items, type_)
+        case ir.Field(operand, name):
+            return f"{_in(operand, _ATOM)}.{name}"
+        case ir.Item(operand, index):
+            return f"{_in(operand, _ATOM)}[{index}]"
+        case ir.At(operand, index):
+            return f"{_in(operand, _ATOM)}[{spelled(index)}]"
+        case ir.Slice(operand, start, stop):
+            bounds = ":".join("" if bound is None else spelled(bound) for bound in (start, stop))
+            return f"{_in(operand, _ATOM)}[{bounds}]"
+        case ir.With(operand, name, value):
+            return f"{_in(operand, _ATOM)} with {name} = {spelled(value)}"
+        case ir.Builtin(name, args) | ir.Call(name, args) | ir.ExternCall(name, args):
+            return f"{name}({_list(args)})"
+        case ir.PortCall(module, port, args):
+            return f"{module}.{port}({_list(args)})"
+        case _:
+            raise AssertionError(f"{type(node).__name__} is no expression")
+
+
+def _made(items: tuple[ir.Expr, ...], type_: Type) -> str:
+    match type_:
+        case RecordType(name):
+            return f"{name}({_list(items)})"
+        case Sequence("List"):
+            return f"[{_list(items)}]"
+        case Sequence() | MapOf():
+            return f"{type_}({_list(items)})"
+        case _:
+            return f"({_list(items)})"
+
+
+def _list(items: Iterable[ir.Expr]) -> str:
+    return ", ".join([spelled(item) for item in items])
+
+
+def _prime(primed: bool) -> str:
+    return "'" if primed else ""
+
+
+def number(value: Fraction | int) -> str:
+    """A number exactly, where that can be read: digits that end, or a small fraction; otherwise rounded, with `~`."""
+    exact = Fraction(value)
+    if exact.denominator == 1 and abs(exact) < 10**15:
+        return str(exact.numerator)
+    near = float(exact) if abs(exact) < 10**300 else float("inf")
+    for text in (repr(near), str(exact)):
+        if len(text) <= MOST_DIGITS and text != "inf" and (near == exact or Fraction(text) == exact):
+            return text
+    return f"~{near:.6g}"
+
+
+def nodes(node: object) -> Iterator[Any]:
+    """A formula and all its parts."""
+    if isinstance(node, tuple):
+        for part in node:
+            yield from nodes(part)
+    elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
+        yield node
+        for field in type(node).__match_args__:  # type: ignore[attr-defined]
+            yield from nodes(getattr(node, field))

@@ -1,0 +1,196 @@
+"""What an invariant lacks to be inductive: conjuncts of the program's own predicates that close the proof.
+
+A candidate is a conjunct of an invariant (or of what holds initially) in which one variable is replaced by another of
+the same type: the same bound on targets, on locals, on shared values. Houdini finds which candidates hold together;
+those that are not needed are then left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import BOOL, INT, Type, list_of
+from koordgen.lang.node import Node, replace
+from koordgen.lang.source import Span
+from koordgen.verify.prove.report.spell import nodes, spelled
+
+MOST = 24  # candidates that are tried
+MARK = "(candidate)"
+
+Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
+
+
+def closing(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
+    """The conjuncts, as a program writes them, with which the invariant is inductive; none where none was found.
+    `program` holds the invariants that may be relied upon and this one; `proves` says which of the named invariants are
+    kept, all invariants of a program being relied upon."""
+    for blocks in (True, False):
+        found = _closing(program, invariant, _candidates(program, invariant, blocks), proves)
+        if found:
+            return found
+    return ()
+
+
+def _closing(program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves) -> tuple[str, ...]:
+    names = {c.name for c in candidates}
+    while candidates:
+        kept = proves(_with(program, candidates), frozenset({invariant, *names}))
+        if names <= kept:
+            break
+        candidates = [c for c in candidates if c.name in kept]
+        names = {c.name for c in candidates}
+    if not candidates or invariant not in proves(_with(program, candidates), frozenset({invariant})):
+        return ()
+    for candidate in list(candidates):
+        fewer = [c for c in candidates if c is not candidate]
+        wanted = frozenset({invariant, *(c.name for c in fewer)})
+        if wanted <= proves(_with(program, fewer), wanted):
+            candidates = fewer
+    return tuple([spelled(c.formula) for c in candidates])
+
+
+def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
+    return replace(program, properties=(*program.properties, *more))
+
+
+def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
+    """`blocks`: all that is said of one variable is one candidate for another."""
+    known = [p for p in program.properties if p.kind in ("invariant", "initially")]
+    known.sort(key=lambda p: p.name != invariant)  # its own predicates first
+    present = {spelled(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
+    found: dict[str, ir.Expr] = {}
+    for property_ in known:
+        parts = list(conjuncts(property_.formula))
+        for conjunct in _blocks(parts) if blocks else parts:
+            for formula in (conjunct, *_variants(conjunct, program)):
+                text = spelled(formula)
+                if text not in present:
+                    found.setdefault(text, formula)
+    for formula in _bounds(program):
+        text = spelled(formula)
+        if text not in present:
+            found.setdefault(text, formula)
+    span = next(p.span for p in known if p.name == invariant)
+    chosen = list(found.values())[:MOST]
+    return [decl.Property("invariant", f"{MARK} {i}", formula, span) for i, formula in enumerate(chosen)]
+
+
+def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
+    """That ints never are below what they begin with, or never above."""
+    variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
+    for variable in variables:
+        first, span = variable.initial, variable.span
+        literal = first.operand if isinstance(first, ir.Unary) else first
+        if variable.type != INT or not isinstance(literal, ir.Const):
+            continue
+        robot = ir.TempRead("i", INT, span)
+        everyone = True
+        match variable:
+            case decl.Local(name):
+                read: ir.Expr = ir.LocalOf(name, robot, INT, span)
+            case decl.Shared(name, "allread"):
+                read = ir.SlotRead(name, robot, False, INT, span)
+            case _:
+                read, everyone = ir.SharedRead(variable.name, INT, span), False
+        for op in (">=", "<="):
+            bound: ir.Expr = ir.Compare(op, read, first, BOOL, span)
+            yield ir.Quantified("forall", "i", ir.Ids(list_of(INT), span), bound, BOOL, span) if everyone else bound
+
+
+def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
+    """A formula in parts: `forall` goes with each."""
+    match node:
+        case ir.Logic("and", left, right):
+            yield from conjuncts(left)
+            yield from conjuncts(right)
+        case ir.Quantified("forall", name, domain, body, type_, span):
+            for part in conjuncts(body):
+                yield ir.Quantified("forall", name, domain, part, type_, span)
+        case _:
+            yield node
+
+
+def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
+    """Conjuncts that speak of one and the same variable, of each robot alone, joined."""
+    found: dict[object, ir.Expr] = {}
+    for part in parts:
+        about = {_key(node) for node in nodes(part)} - {None}
+        match part:
+            case ir.Quantified("forall", name, domain, body, type_, span) if len(about) == 1:
+                key = (name, domain, *about)
+                before = found.get(key)
+                joined = ir.Logic("and", before.body, body, BOOL, span) if isinstance(before, ir.Quantified) else body
+                found[key] = ir.Quantified("forall", name, domain, joined, type_, span)
+            case _:
+                found[part] = part
+    return list(found.values())
+
+
+def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
+    """The formula about other variables: each variable in it by each other of its type, everywhere at once."""
+    subjects: dict[tuple[str, str], Type] = {}
+    for node in nodes(formula):
+        key = _key(node)
+        if key is not None:
+            subjects.setdefault(key, node.type)
+    for key, type_ in subjects.items():
+        for other in _variables(program):
+            if other[1] == type_ and other[0] != key:
+                yield _renamed(formula, key, other[0])
+    for key, type_ in subjects.items():
+        for shared in program.shared:
+            if shared.kind == "allwrite" and shared.type == type_ and key[0] != "":
+                yield _renamed(formula, key, ("", shared.name))
+
+
+def _variables(program: decl.Program) -> Iterator[tuple[tuple[str, str], Type]]:
+    """Every variable that each robot has one of: a key, and its type."""
+    for module in program.modules:
+        for port in module.ports:
+            if port.direction in ("actuator", "sensor"):
+                yield (f"port {module.name}", port.name), port.type
+    for shared in program.shared:
+        if shared.kind == "allread":
+            yield ("slot", shared.name), shared.type
+    for local in program.locals:
+        yield ("local", local.name), local.type
+
+
+def _key(node: object) -> tuple[str, str] | None:
+    match node:
+        case ir.PortOf(module, port):
+            return f"port {module}", port
+        case ir.SlotRead(name):
+            return "slot", name
+        case ir.LocalOf(name):
+            return "local", name
+        case _:
+            return None
+
+
+def _renamed(node: Any, key: tuple[str, str], other: tuple[str, str]) -> Any:
+    if isinstance(node, tuple):
+        return tuple([_renamed(part, key, other) for part in node])
+    if not isinstance(node, Node) or isinstance(node, Span):
+        return node
+    if _key(node) == key:
+        robot = node.index if isinstance(node, ir.SlotRead) else node.robot  # type: ignore[attr-defined]
+        return _read(other, robot, node)
+    fields = [_renamed(getattr(node, field), key, other) for field in type(node).__match_args__]  # type: ignore[attr-defined]
+    return type(node)(*fields)
+
+
+def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
+    kind, name = key
+    match kind:
+        case "":
+            return ir.SharedRead(name, like.type, like.span)
+        case "slot":
+            return ir.SlotRead(name, robot, False, like.type, like.span)
+        case "local":
+            return ir.LocalOf(name, robot, like.type, like.span)
+        case _:
+            return ir.PortOf(kind.removeprefix("port "), name, robot, like.type, like.span)

@@ -1,0 +1,213 @@
+"""Counterexamples and runs, robot by variable, at most 100 columns wide; and as data."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from koordgen.lang.semantics.exact import Root
+from koordgen.lang.semantics.state import Robot, State
+from koordgen.lang.semantics.values import RecordValue
+from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
+from koordgen.verify.prove.report.model import Conjunct, Counterexample
+from koordgen.verify.prove.report.reach import Moment, Run
+from koordgen.verify.prove.report.spell import number, spelled
+
+WIDTH = 100
+CHANGED = "*"
+
+
+def wrapped(text: str, indent: str = "  ") -> list[str]:
+    """A sentence over as many lines as it takes."""
+    lines = textwrap.wrap(
+        text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return lines or [indent]
+
+
+def counterexample(found: Counterexample) -> Iterator[str]:
+    """The step, what it makes false, and the table of what was before and after it."""
+    yield from wrapped(f"{_step(found)}:")
+    yield from failed_lines(found.failed, found.discarded, found.file)
+    yield ""
+    yield from table(found)
+    yield ""
+
+
+def _step(found: Counterexample) -> str:
+    place = f"({found.file}:{found.line})" if found.pid is None else ""
+    if found.kind == "environment":
+        return "a step of the environment, from a state in which all invariants hold"
+    if found.kind == "base":
+        return f"the state after init {place}".rstrip()
+    return f"{found.event} of robot {found.pid}, from a state in which all invariants hold"
+
+
+def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str]:
+    if failed is None:
+        return wrapped(f"it has no result, {discarded}", "    ")
+    bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
+    return wrapped(f"false then: {spelled(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
+
+
+def table(found: Counterexample) -> Iterator[str]:
+    """Robot by variable, before and after; what changed is marked."""
+    constants = {"N_SYS": len(found.before.robots), **found.before.params}
+    yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
+    rows = [("robot", "variable", "before", "after")]
+    for owner, name, before, after in cells(found):
+        old, new = shown(before), shown(after)
+        mark = f" {CHANGED}" if old != new or before != after else ""
+        rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
+    yield from _columns(rows)
+    if any("~" in column for row in rows for column in row):
+        yield from wrapped("(all is reckoned exactly; numbers behind ~ are shown rounded)")
+
+
+def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
+    """Whose, which variable, before, after: of all that matters; a robot's own, then what is shared."""
+    before, after = found.before, found.after
+    for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
+        for name, value in own(before, pid).items():
+            changed = own(after, pid)[name]
+            if name in found.seen or value != changed:
+                yield str(pid), name, value, changed
+            if name in before.store.slots and (started := found.begun.slots[name][pid]) != value:
+                yield str(pid), f"{name} (round start)", started, started
+        if new.stopped != old.stopped:
+            yield str(pid), "stopped", old.stopped, new.stopped
+    for name, value in before.store.cells.items():
+        if name in found.seen or value != after.store.cells[name]:
+            yield "", name, value, after.store.cells[name]
+        if (started := found.begun.cells[name]) != value:
+            yield "", f"{name} (round start)", started, started
+
+
+def own(state: State, pid: int) -> dict[str, Any]:
+    """What belongs to a robot: its locals, its ports, its slots."""
+    robot: Robot = state.robots[pid]
+    slots = {name: values[pid] for name, values in state.store.slots.items()}
+    return {**robot.ports, **robot.locals, **slots}
+
+
+def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Columns side by side, within WIDTH: what is too wide goes on below."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    room = WIDTH - 2 - 2 * (len(widths) - 1) - widths[0] - widths[1]
+    for i in (2, 3):
+        widths[i] = min(widths[i], max(room // 2, room - widths[5 - i]))
+    last = ""
+    for row in rows:
+        shown_row = ("" if row[0] == last and row[0] else row[0], *row[1:])
+        last = row[0]
+        parts = [textwrap.wrap(text, max(8, width)) or [""] for text, width in zip(shown_row, widths, strict=True)]
+        for k in range(max(map(len, parts))):
+            line = [(part[k] if k < len(part) else "").ljust(width) for part, width in zip(parts, widths, strict=True)]
+            yield "  " + "  ".join(line).rstrip()
+
+
+def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
+    yield from moment_lines(run.moments)
+    yield from failed_lines(run.failed, "", found.file if found else "")
+    yield from wrapped(order_told(run.of_agents))
+
+
+def order_told(of_agents: bool) -> str:
+    """Say in words whether agents can do a run."""
+    if of_agents:
+        return "the agents' order can do this run"
+    return (
+        "the agents' order cannot do this run: in each round an agent runs the first event in text order whose guard "
+        "holds at the round's start, commits come first, one for each lock, then plain events by ascending pid"
+    )
+
+
+def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
+    """A run, step by step: what each changes."""
+    first = moments[0].state
+    constants = {"N_SYS": len(first.robots), **first.params}
+    yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
+    rows = [("round", "step", "", "")]
+    for old, moment in zip((None, *moments), moments, strict=False):
+        by = moment.event or "the beginning"
+        step = f"{by} of robot {moment.pid}" if moment.pid is not None else by
+        changes = list(_changes(old.state if old else None, moment.state))
+        for i, change in enumerate(changes or ["nothing changes"]):
+            rows.append((str(moment.round) if not i else "", step if not i else "", change, ""))
+    yield from _columns(rows)
+
+
+def _changes(old: State | None, new: State) -> Iterator[str]:
+    for pid in range(len(new.robots)):
+        was = own(old, pid) if old else {}
+        for name, value in own(new, pid).items():
+            if name not in was or was[name] != value:
+                yield f"{name}[{pid}] = {shown(value)}"
+    for name, value in new.store.cells.items():
+        if old is None or old.store.cells[name] != value:
+            yield f"{name} = {shown(value)}"
+
+
+def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
+    """As JSON has it."""
+    rows = [
+        {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
+        for owner, name, before, after in cells(found)
+    ]
+    return {
+        "kind": found.kind,
+        "event": found.event,
+        "robot": found.pid,
+        "file": found.file,
+        "line": found.line,
+        "robots": len(found.before.robots),
+        "params": _texts(found.before.params),
+        "conjunct": spelled(found.failed.formula) if found.failed else found.discarded,
+        "names": _texts(found.failed.names) if found.failed else {},
+        "cells": rows,
+        "run": moments_data(run.moments) if run else None,
+        "order_of_agents": run.of_agents if run else None,
+    }
+
+
+def moments_data(moments: Sequence[Moment]) -> list[dict[str, Any]]:
+    """A run as JSON has it."""
+    return [_moment(m.event, m.pid, m.round, m.state) for m in moments]
+
+
+def _moment(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
+    robots = [_texts(own(state, i)) for i in range(len(state.robots))]
+    return {"round": number, "event": event, "robot": pid, "robots": robots, "shared": _texts(state.store.cells)}
+
+
+def _texts(values: Mapping[str, Any]) -> dict[str, str]:
+    return {name: shown(value) for name, value in values.items()}
+
+
+def shown(value: Any) -> str:
+    """A value of the language, as a program writes it."""
+    match value:
+        case bool():
+            return str(value)
+        case int() | Fraction():
+            return number(value)
+        case Root():
+            return f"sqrt({number(value.square)})"
+        case float():
+            return repr(value)
+        case Point(x, y, z):
+            return f"({shown(x)}, {shown(y)}, {shown(z)})"
+        case Pose(position, yaw):
+            return f"Pose({shown(position)}, {shown(yaw)})"
+        case Grid(x, y, size):
+            return f"Grid({x}, {y}, {shown(size)})"
+        case RecordValue(name, fields):
+            return f"{name}({', '.join(map(shown, fields))})"
+        case Opaque(data):
+            return f"#{data.decode(errors='replace')}"
+        case tuple():
+            return f"[{', '.join(map(shown, value))}]"
+        case _:
+            return repr(value)

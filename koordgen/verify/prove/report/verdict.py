@@ -1,0 +1,228 @@
+"""From obligations to verdicts: asks the solver, drops what fails and proves the rest again, explains what fails.
+
+PROVED is said only when every obligation of an invariant got the answer that proves it, with hypotheses that are
+themselves PROVED and assumptions that were seen to be consistent. Everything else is something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.expr import Expr
+from koordgen.lang.node import replace
+from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligations, rooms
+from koordgen.verify.prove.obligations.moment import Told
+from koordgen.verify.prove.report.ledger import Entry, Ledger
+from koordgen.verify.prove.smt.obligation import AtHead, Obligation
+from koordgen.verify.prove.smt.smtlib import script
+from koordgen.verify.prove.smt.solve import Answer, Both, Outcome, Solver
+
+if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
+    from koordgen.verify.prove.report.explain import Explanation
+
+Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
+WELL_DEFINED = "(well-defined)"
+MORE: tuple[Told, ...] = ("usual", "most")
+
+
+class Question(NamedTuple):
+    """A checked program; for how many robots (None: any number); params that are fixed, the others being any."""
+
+    program: decl.Program
+    robots: int | None = None
+    params: Mapping[str, Expr] | None = None
+
+
+class Asked(NamedTuple):
+    """The solver's answers to all obligations, once none of what is assumed at heads of loops fails: `dropped` was
+    tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
+
+    outcomes: list[Outcome]
+    dropped: frozenset[AtHead]
+    lost: dict[str, tuple[Outcome, ...]]
+
+
+class Verdict(NamedTuple):
+    """`reason` says why it is no proof, in a sentence; `rests_on` are the other invariants that a proof uses."""
+
+    invariant: str
+    verdict: Name
+    robots: int | None
+    outcomes: tuple[Outcome, ...]
+    reason: str
+    explanation: Explanation | None
+    rests_on: tuple[str, ...]
+    assumptions: tuple[Entry, ...]
+
+
+def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
+    """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
+    solver.start()
+    program = question.program
+    asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
+    names = _names(program, asked)
+    groups = _groups(asked.outcomes)
+    failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
+    while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
+        failed.update({name: (groups[name], program) for name in failing})
+        without = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
+        if not without:
+            break
+        program = replace(program, properties=tuple([p for p in program.properties if p not in without]))
+        asked = _settled(question, program, solver, asked)
+        groups = {name: group for name, group in _groups(asked.outcomes).items() if name not in failed}
+    failed.update({name: (group, program) for name, group in asked.lost.items()})
+    outcomes = asked.outcomes
+    contradiction, doubt = _consistency(outcomes, solver)
+    explained = {} if contradiction else _explained(question, failed, solver, program, asked.dropped)
+    found, ledger = [], Ledger(question.program)
+    for name in names:
+        group = failed[name][0] if name in failed else groups[name]
+        told = explained.get(name)
+        verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
+        assumed = ledger.of([o.obligation for o in group])
+        rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
+        found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
+    return found
+
+
+def _explained(
+    question: Question,
+    failed: Mapping[str, tuple[tuple[Outcome, ...], decl.Program]],
+    solver: Solver | Both,
+    proved: decl.Program,
+    dropped: frozenset[AtHead],
+) -> dict[str, Explanation]:
+    """Why each fails; `proved` has the invariants that are PROVED."""
+    if not failed:
+        return {}
+    from koordgen.verify.prove.report.explain import Explainer
+
+    explainer = Explainer(question.program, question.robots, question.params, solver, proved, dropped)
+    return {name: explainer.explain(name, group, relied) for name, (group, relied) in failed.items()}
+
+
+def _settled(
+    question: Question, program: decl.Program, solver: Solver | Both, before: Asked, more: Sequence[Told] = MORE
+) -> Asked:
+    """Ask, and drop what fails at the heads of loops, until nothing fails there."""
+    dropped, lost = before.dropped, dict(before.lost)
+    while True:
+        outcomes = _asked(question, program, solver, dropped, more)
+        failing = [o for o in outcomes if o.obligation.at is not None and not o.holds]
+        if not failing:
+            return Asked(outcomes, dropped, lost)
+        dropped |= {o.obligation.at for o in failing if o.obligation.at is not None}
+        stated = {o.obligation.invariant for o in failing} - {p.name for p in program.properties}
+        groups = _groups(outcomes)
+        lost.update({name: groups[name] for name in stated})
+
+
+def _asked(
+    question: Question, program: decl.Program, solver: Solver | Both, dropped: frozenset[AtHead], more: Sequence[Told]
+) -> list[Outcome]:
+    """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
+    told, where that is something else."""
+    robots, params = question.robots, question.params
+    found = [Outcome(*each) for each in solver.ask_all(rooms(program, robots, params, "little", dropped))]
+    for told in more:
+        if all(outcome.holds or outcome.obligation.unwritten for outcome in found):
+            break  # with more told, formulas only grow
+        others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
+        found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
+    return found
+
+
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> Asked | None:
+    """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
+    assumptions are consistent must be seen for this number. None, where something does not hold for every number."""
+    if question.robots is None:
+        return None
+    general = _settled(question._replace(robots=None), program, solver, Asked([], frozenset(), {}), MORE[:1])
+    # SOUND: all of them or none: what holds behind a loop rests on what its turns keep, of which nothing is asked where
+    # it is written out.
+    if general.lost or not all(outcome.holds for outcome in general.outcomes):
+        return None
+    numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
+    others = [o for o in general.outcomes if o.obligation.kind != "consistency"]
+    return general._replace(outcomes=[*(Outcome(*each) for each in numbered), *others])
+
+
+def _again(outcome: Outcome, others: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+    other = others.get(outcome.obligation.name)
+    if other is None:
+        return outcome
+    if script(other) == script(outcome.obligation):
+        return Outcome(other, outcome.answer)
+    answer = solver.ask(other)
+    return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
+
+
+def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:
+    """The obligations of each invariant."""
+    found: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.obligation.kind != "consistency":
+            found.setdefault(outcome.obligation.invariant, []).append(outcome)
+    return {name: tuple(group) for name, group in found.items()}
+
+
+def _names(program: decl.Program, asked: Asked) -> list[str]:
+    found = dict.fromkeys(o.obligation.invariant for o in asked.outcomes if o.obligation.kind != "consistency")
+    found.update(dict.fromkeys(asked.lost))
+    found.update(dict.fromkeys(p.name for p in program.properties if p.kind == "invariant"))
+    return list(found)
+
+
+def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
+    """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
+    doubt = ""
+    for outcome in outcomes:
+        obligation = outcome.obligation
+        if obligation.kind != "consistency" or outcome.holds or _is_dead(obligation, outcome.answer, solver):
+            continue
+        if outcome.answer.result == "unknown":
+            place = f"{obligation.name} ({obligation.file}:{obligation.line})"
+            doubt = f"{place}: whether the assumptions contradict one another was not decided: {outcome.answer.reason}"
+            continue
+        core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
+        facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
+        told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
+        state = "state of two robots or more" if obligation.event == OF_TWO else "state"
+        return f"no {state} satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
+    return "", doubt
+
+
+def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
+    """Return whether an event cannot get to its end for reasons of its own, whatever is assumed of what it calls."""
+    if not obligation.event or answer.result != "unsat":
+        return False
+    own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
+    return solver.ask(replace(obligation, facts=own)).result == "unsat"
+
+
+def _verdict(
+    program: decl.Program, group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str
+) -> tuple[Name, str]:
+    if contradiction:
+        return "VACUOUS", contradiction
+    if told is not None and told.run is not None:
+        return "FALSIFIED", ""
+    if told is not None and told.counterexample is not None:
+        return "NOT INDUCTIVE", ""
+    failing = [o for o in group if not o.holds]
+    if failing:
+        first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
+        from koordgen.verify.prove.report import doubt as doubts
+
+        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, told.unshown if told else "")
+    return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
+
+
+def _rests_on(name: str, group: tuple[Outcome, ...], program: decl.Program) -> tuple[str, ...]:
+    """The other invariants whose lines stand among the facts of this one's obligations."""
+    lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
+    others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
+    return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])

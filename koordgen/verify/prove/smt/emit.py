@@ -1,0 +1,51 @@
+"""The folder that anyone can check offline, with any solver for SMT-LIB: one file an obligation, and a script."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from koordgen.verify.prove.smt.obligation import Obligation
+from koordgen.verify.prove.smt.smtlib import Line, document
+
+# Reads from each file what it expects; whatever else a solver says is no proof.
+RUN = """\
+#!/bin/sh
+# Checks every obligation of this folder with a solver for SMT-LIB 2.6, and whether it answers what the file expects.
+# usage: sh run.sh [SOLVER [OPTION...]]      (z3 if none is named; the file's name is put behind)
+# status: 0 all as expected, 3 some are not, 5 there is no such solver
+cd "$(dirname "$0")" || exit 5
+[ $# -gt 0 ] || set -- z3
+command -v "$1" >/dev/null || { echo "run.sh: there is no $1 here" >&2; exit 5; }
+all=0 wrong=0
+for file in *.smt2; do
+  wanted=$(sed -n 's/^(set-info :status \\([a-z]*\\))$/\\1/p' "$file")
+  found=$("$@" "$file" 2>&1)
+  all=$((all + 1))
+  if [ "$found" = "$wanted" ]; then
+    echo "ok    $file: $found"
+  else
+    wrong=$((wrong + 1))
+    echo "WRONG $file: $(echo "$found" | head -n 1), where $wanted is expected"
+  fi
+done
+echo "$all obligations, $wrong not as expected"
+[ "$wrong" -eq 0 ] || exit 3
+"""
+
+
+def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
+    """The files by name. The same obligations give the same bytes."""
+    files = {"run.sh": RUN.encode()}
+    for obligation in obligations:
+        name = file_name(obligation)
+        unique, number = name, 2
+        while f"{unique}.smt2" in files:
+            unique, number = f"{name}-{number}", number + 1
+        files[f"{unique}.smt2"] = document(obligation, line).encode()
+    return files
+
+
+def file_name(obligation: Obligation) -> str:
+    """What an obligation's file is called, without its ending."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", obligation.name).strip("-")

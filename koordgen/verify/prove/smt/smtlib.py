@@ -1,0 +1,261 @@
+"""Obligations as SMT-LIB 2.6: what a solver is asked, and the very same for people, with the program's lines.
+
+Nothing is rounded: a Fraction that is no decimal is a quotient of two. A subterm that occurs more than once gets a name
+where it is long.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from fractions import Fraction
+
+from koordgen.verify.prove.smt.obligation import Fact, Obligation
+from koordgen.verify.prove.smt.term import Apply, Function, Op, Term, Value, not_
+
+Line = Callable[[str, int], str]  # file, line -> its text; "" where there is none
+BUILT_IN = frozenset(("Bool", "Int", "Real"))
+LONG = 60  # characters of a subterm that gets a name when it occurs again
+WIDTH = 100
+_SIMPLE = re.compile(r"[A-Za-z~!$%^&*_+=<>?/-][A-Za-z0-9~!$%^&*_+=<>.?/@-]*")
+# Words of the language: in bars they are names. What logics define is never minted as a name: see encode/room.py.
+_RESERVED = frozenset(("!", "_", "as", "let", "exists", "forall", "match", "par", "assert", "push", "pop", "exit"))
+
+
+def symbol(name: str) -> str:
+    """A name as SMT-LIB writes it: in bars where it must be."""
+    return name if _SIMPLE.fullmatch(name) and name not in _RESERVED else f"|{name}|"
+
+
+def literal(value: bool | int | Fraction, sort: str) -> str:
+    """A number or truth, exactly."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value < 0:
+        return f"(- {literal(-value, sort)})"
+    if sort == "Int":
+        return str(int(value))
+    exact = Fraction(value)
+    return decimal(exact) or f"(/ {exact.numerator}.0 {exact.denominator}.0)"
+
+
+def decimal(value: Fraction) -> str:
+    """A number >= 0 with its digits; empty where they never end."""
+    places, rest = 0, value.denominator
+    for prime in (2, 5):
+        count = 0
+        while rest % prime == 0:
+            rest, count = rest // prime, count + 1
+        places = max(places, count)
+    if rest != 1:
+        return ""
+    digits = str(value.numerator * 10**places // value.denominator).rjust(places + 1, "0")
+    return f"{digits[: len(digits) - places]}.{digits[len(digits) - places :] or '0'}"
+
+
+class Printer:
+    """Prints the terms of one script: counts first what occurs more than once, then prints each once."""
+
+    def __init__(self, terms: Iterable[Term]) -> None:
+        self.uses: dict[Term, int] = {}
+        self.functions: dict[str, Function] = {}
+        self.heads: dict[str, str] = {}
+        self.done: dict[Term, str] = {}
+        self.named = 0
+        uses, pending = self.uses, list(terms)[::-1]
+        while pending:
+            node = pending.pop()
+            if node in uses:
+                uses[node] += 1
+                continue
+            uses[node] = 1
+            if isinstance(node, Value):
+                continue
+            if isinstance(node, Apply):
+                self.functions.setdefault(node.function.name, node.function)
+            pending += node.args[::-1]
+
+    def print(self, term: Term) -> tuple[list[str], str]:
+        """Definitions that come first, and the term."""
+        definitions: list[str] = []
+        done, pending = self.done, [term]
+        while pending:
+            node = pending[-1]
+            if node in done:
+                pending.pop()
+                continue
+            missing = [] if isinstance(node, Value) else [arg for arg in node.args if arg not in done]
+            if missing:
+                pending += missing[::-1]
+                continue
+            text = self.shown(node)
+            if len(text) > LONG and self.uses.get(node, 0) > 1:
+                name = self.fresh()
+                definitions.append(f"(define-fun {name} () {symbol(node.sort.name)} {text})")
+                text = name
+            done[node] = text
+        return definitions, done[term]
+
+    def fresh(self) -> str:
+        while True:
+            self.named += 1
+            name = f"part!{self.named}"
+            if name not in self.functions:
+                return name
+
+    def shown(self, node: Term) -> str:
+        """A term whose arguments were printed before."""
+        if isinstance(node, Value):
+            return literal(node.value, node.sort.name)
+        if isinstance(node, Op):
+            return f"({node.name} {' '.join([self.done[arg] for arg in node.args])})"
+        name = node.function.name
+        head = self.heads.get(name) or self.heads.setdefault(name, symbol(name))
+        return f"({head} {' '.join([self.done[arg] for arg in node.args])})" if node.args else head
+
+    def declarations(self) -> Iterator[str]:
+        """Of all sorts and symbols, each once."""
+        functions = self.functions.values()
+        sorts = dict.fromkeys(s for f in functions for s in (*f.domain, f.result) if s.name not in BUILT_IN)
+        yield from (f"(declare-sort {symbol(sort.name)} 0)" for sort in sorts)
+        for function in functions:
+            domain = " ".join(symbol(s.name) for s in function.domain)
+            yield f"(declare-fun {symbol(function.name)} ({domain}) {symbol(function.result.name)})"
+
+
+def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
+    """What a solver is asked, without its logic and the command to answer; and the terms `wanted` of a model, printed.
+    `named` calls the facts fact!0, fact!1, ... for unsat cores."""
+    facts = [f.term for f in obligation.facts]
+    if obligation.goal is not None:
+        facts.append(not_(obligation.goal.term))
+    values = list(wanted)
+    printer = Printer([*facts, *values])
+    lines = list(printer.declarations())
+    for number, fact in enumerate(facts):
+        definitions, text = printer.print(fact)
+        lines += definitions
+        lines.append(f"(assert (! {text} :named fact!{number}))" if named else f"(assert {text})")
+    shown = []
+    for term in values:
+        definitions, text = printer.print(term)
+        lines += definitions
+        shown.append(text)
+    return "\n".join(lines) + "\n", shown
+
+
+def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
+    """Obligations that share facts: what all of them assume, and for each of the `parts` of each, in which it is to be
+    refuted, that and what only this obligation assumes."""
+    shared = set.intersection(*({id(fact) for fact in o.facts} for o in room))
+    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in room]
+    common = [fact.term for fact in room[0].facts if id(fact) in shared]
+    printer = Printer([*common, *(term for terms in (*own, *parts) for term in terms)])
+    lines = list(printer.declarations())
+
+    def asserted(term: Term) -> str:
+        definitions, text = printer.print(term)
+        lines.extend(definitions)
+        return f"(assert {text})\n"
+
+    lines += [asserted(term) for term in common]
+    goals = []
+    for terms, each in zip(own, parts, strict=True):
+        assumed = "".join(map(asserted, terms))
+        goals.append([assumed + asserted(part) for part in each])
+    return "\n".join(lines) + "\n", goals
+
+
+def document(obligation: Obligation, line: Line) -> str:
+    """The obligation as a file for people and for every solver. `line` tells the program's text."""
+    goal = obligation.goal
+    refuted = [*obligation.facts, *([goal] if goal else [])]
+    printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])
+    lines = [*_head(obligation), "(set-info :smt-lib-version 2.6)", f"(set-logic {obligation.logic})"]
+    lines += [f"(set-info :status {obligation.expected})", ""]
+    lines += [*_cells(obligation, printer.functions), *printer.declarations()]
+    last = ""
+    for fact in refuted:
+        said = f"{fact.label}{_place(fact, line)}"
+        if said != last or fact is goal:
+            lines += ["", *_comment(f"{'to be shown, and so negated: ' if fact is goal else ''}{said}")]
+            last = said
+        definitions, text = printer.print(not_(fact.term) if fact is goal else fact.term)
+        lines += [wrapped(d) for d in definitions]
+        lines.append(wrapped(f"(assert {text})"))
+    return "\n".join([*lines, "", "(check-sat)", "(exit)"]) + "\n"
+
+
+def _head(obligation: Obligation) -> Iterator[str]:
+    if obligation.goal is None:
+        yield f"; {obligation.file}:{obligation.line}: what is assumed does not contradict itself"
+    else:
+        by = f", {obligation.event}" if obligation.event else ""
+        yield f"; {obligation.file}:{obligation.line}: {obligation.invariant}{by} ({obligation.kind})"
+    robots = "for every number of robots" if obligation.robots is None else f"for {obligation.robots} robots"
+    yield f"; {robots}; {obligation.expected} is the answer that is expected"
+    for note in obligation.notes:
+        yield from _comment(note)
+
+
+def _cells(obligation: Obligation, used: Collection[str]) -> Iterator[str]:
+    """Which of the symbols that are used are which variables."""
+    told: dict[str, None] = {}
+    for cell in obligation.cells:
+        names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply) and t.function.name in used)
+        if names:
+            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
+    for text in told:
+        yield from _comment(text)
+
+
+def _place(fact: Fact, line: Line) -> str:
+    if not fact.line:
+        return ""
+    text = _flat(line(fact.file, fact.line))
+    return f" ({fact.file}:{fact.line}{': ' if text else ''}{text})"
+
+
+def _comment(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(_flat(text), WIDTH, initial_indent="; ", subsequent_indent=";   ", break_on_hyphens=False)
+
+
+def _flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+def wrapped(text: str) -> str:
+    """One command over several lines where it is long: each argument that does not fit on its own, deeper."""
+    return "\n".join(_wrapped(text, 0))
+
+
+def _wrapped(text: str, indent: int) -> Iterator[str]:
+    if len(text) + indent <= WIDTH or not text.startswith("("):
+        yield " " * indent + text
+        return
+    parts = list(_split(text[1:-1]))
+    keep = 1 + (parts[0] == "define-fun") * 3
+    yield f"{' ' * indent}({' '.join(parts[:keep])}"
+    rows = [row for part in parts[keep:] for row in _wrapped(part, indent + 2)]
+    rows[-1] += ")"
+    yield from rows
+
+
+def _split(text: str) -> Iterator[str]:
+    """The expressions that stand in a row."""
+    depth, start, quoted = 0, 0, False
+    for place, character in enumerate(text):
+        if character == "|":
+            quoted = not quoted
+        if quoted:
+            continue
+        if character == "(":
+            depth += 1
+        elif character == ")":
+            depth -= 1
+        elif character == " " and not depth:
+            yield text[start:place]
+            start = place + 1
+    yield text[start:]

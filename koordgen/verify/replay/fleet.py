@@ -1,0 +1,98 @@
+"""A whole trace again: each robot by itself, and when all of a fleet are there also what they held together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from koordgen.lang.ir import decl
+from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
+from koordgen.verify.replay.store import Shown, Writes
+from koordgen.verify.replay.trace import Line, Trace
+from koordgen.verify.replay.values import plain
+
+
+def replayed(
+    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: Trace, counts: Counts
+) -> Iterator[Difference]:
+    """Every difference, in the trace's order. Raises BadTrace, Unreplayable."""
+    n_sys = len(trace.robots)
+    robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
+    stores = None if trace.own else Stores(program, n_sys, trace)
+    views: dict[int, tuple[int, Any]] = {}
+    last = 0
+    for line in trace.lines():
+        if line.record["kind"] == "view":
+            yield from _view(line, views)
+            continue
+        if line.record["kind"] == "init":
+            views.clear()  # of an earlier mission
+        robot = robots[line.pid]
+        if trace.cut and line.record["kind"] == "checkpoint":  # an older part ends amid a record
+            robot.skip()
+        yield from robot.line(line)
+        if robot.saw is not None and stores is not None:
+            yield from stores.compared(line, robot.saw)
+        last = line.number
+    if not trace.cut:
+        for robot in robots:
+            yield from robot.end(last)
+
+
+def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
+    """There is one view of each number: `views` are those that were told until now, by number."""
+    try:
+        number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise Unreplayable(line.number, f"a broken record: {error!r}") from None
+    meant = views.setdefault(number, (since, members))
+    if (since, members) != meant:
+        told = [f"{who} from round {begins} on" for begins, who in ((since, members), meant)]
+        yield Difference(line.number, since, line.pid, f"view {number}", *told)
+
+
+class Stores:
+    """The shared store of each round, by what all robots say that they wrote: first commits, then plain events by
+    ascending pid. From where a robot died on, which may have written what it told nobody, it is not known."""
+
+    def __init__(self, program: decl.Program, n_sys: int, trace: Trace) -> None:
+        self._writes = Writes(program, n_sys)
+        ends = dict.fromkeys(range(n_sys), 0)
+        acted = dict.fromkeys(range(n_sys), 0)  # the last round whose event a robot told of
+        until = float("inf")
+        for line in trace.lines():
+            record = line.record
+            if record["kind"] in ("stream", "view"):
+                continue
+            round_ = int(record.get("round", 0))
+            restored = record.get("restored")
+            if restored and restored["round"] != acted[line.pid]:
+                until = min(until, restored["round"] - 1)
+            if record.get("event") is not None and not record.get("fault"):
+                acted[line.pid] = round_
+            ends[line.pid] = max(ends[line.pid], round_)
+            self._writes.hear(line.pid, record)
+        self._until = min(until, min(ends.values()))
+        self._known: dict[int, Shown] = {0: self._writes.after(self._writes.first(), 0)}  # round -> after it
+
+    def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
+        """A robot's copy at a round's start beside the store after the round before."""
+        round_ = int(line.record["round"])
+        if round_ - 1 > self._until:
+            return
+        store = self._of(round_ - 1)
+        for name, meant in store.items():
+            if name in self._writes.slots:
+                for pid, own in enumerate(meant):
+                    if plain(copy[name][pid]) != own:
+                        yield Difference(
+                            line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(copy[name][pid]), own
+                        )
+            elif plain(copy[name]) != meant:
+                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), meant)
+
+    def _of(self, round_: int) -> Shown:
+        latest = max(self._known)
+        for r in range(latest + 1, round_ + 1):
+            self._known[r] = self._writes.after(self._known[r - 1], r)
+        return self._known[round_]

@@ -1,0 +1,97 @@
+"""A program's extern functions, called by the executable semantics as robots call them: through the generated code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import util
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from koordgen.build.emit.names import Names
+from koordgen.build.emit.program import functions_module, program_text
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.types import MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.lang.semantics.values import RecordValue, Value
+
+
+class CannotCall(Exception):
+    """The file of the extern functions cannot be used; the message says why."""
+
+
+def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
+    """The extern functions by name. Runs the user's file. Raises CannotCall."""
+    if not program.externs:
+        return {}
+    if file is None or not file.is_file():
+        raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
+    load(program, file)
+    names = Names(program)
+    module = sys.modules["replayed"] = ModuleType("replayed")  # where annotations of records are looked up
+    vars(module)["__file__"] = "program.py"
+    exec(compile(program_text(program), "program.py", "exec"), vars(module))
+    return {f.name: _called(f, vars(module), names) for f in program.externs}
+
+
+def load(program: decl.Program, file: Path) -> None:
+    """Imports the file, under the name by which generated code asks for it. Raises CannotCall."""
+    name = functions_module(program)
+    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # whatever its ending
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = util.module_from_spec(spec)
+    sys.path.insert(0, str(file.parent))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise CannotCall(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(file.parent))
+    missing = [f.name for f in program.externs if not callable(getattr(module, f.name, None))]
+    if missing:
+        raise CannotCall(f"{file} lacks {', '.join(missing)}, which the program declares as extern")
+
+
+def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Names) -> Callable[..., Value]:
+    wrapped = scope[names.calls[function.name]]
+
+    def call(*args: Value) -> Value:
+        types = [parameter.type for parameter in function.parameters]
+        return meant_value(
+            wrapped(*[python_value(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
+        )
+
+    return call
+
+
+def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
+    """A value of the semantics as robots have it: records are of the program's classes."""
+    match type_:
+        case RecordType(name, fields):
+            parts = zip(value.fields, fields, strict=True)
+            return scope[names.records[name]](*[python_value(part, t, scope, names) for part, (_, t) in parts])
+        case Sequence(_, element) | PerRobot(element):
+            return tuple([python_value(part, element, scope, names) for part in value])
+        case MapOf(key, held):
+            return tuple([(python_value(k, key, scope, names), python_value(v, held, scope, names)) for k, v in value])
+        case TupleOf(items):
+            return tuple([python_value(part, t, scope, names) for part, t in zip(value, items, strict=True)])
+        case _:
+            return value
+
+
+def meant_value(value: Any, type_: Type) -> Value:
+    match type_:
+        case RecordType(name, fields):
+            parts = [getattr(value, field) for field in value.__struct_fields__]
+            return RecordValue(name, tuple([meant_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
+        case Sequence(_, element) | PerRobot(element):
+            return tuple([meant_value(part, element) for part in value])
+        case MapOf(key, held):
+            return tuple([(meant_value(k, key), meant_value(v, held)) for k, v in value])
+        case TupleOf(items):
+            return tuple([meant_value(part, t) for part, t in zip(value, items, strict=True)])
+        case _:
+            found: Value = value
+            return found

@@ -1,0 +1,293 @@
+"""One robot's rounds again: the executable semantics on what its trace says it saw, beside what it says it did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.types import Type
+from koordgen.lang.node import replace
+from koordgen.lang.semantics.eval import Discarded
+from koordgen.lang.semantics.exec import Writes, declared
+from koordgen.lang.semantics.state import Robot, State, Store, World
+from koordgen.lang.semantics.step import Step, execute, has_priority, initial, select
+from koordgen.lang.semantics.values import Value
+from koordgen.verify.replay.store import had_frame
+from koordgen.verify.replay.trace import Line
+from koordgen.verify.replay.values import BadValue, plain, taken
+
+OVERRAN = "not finished by the round's publish deadline"  # what only the robot's clock knows
+
+
+class Difference(NamedTuple):
+    """Where a trace is not as the program means: `told` is what it says, `meant` what the semantics says."""
+
+    number: int
+    round: int
+    pid: int
+    what: str
+    told: Any
+    meant: Any
+
+
+class Unreplayable(Exception):
+    """A trace cannot be replayed: the number of its line, and the reason."""
+
+    def __init__(self, number: int, why: str) -> None:
+        super().__init__(f"line {number}: {why}")
+        self.number, self.why = number, why
+
+
+@dataclass
+class Counts:
+    rounds: int = 0
+    events: int = 0
+    violated: int = 0  # events (and `init`s) in which a loop invariant was false, as the program means
+    late: int = 0  # events that overran, which nobody can judge afterwards
+
+
+@dataclass
+class Replay:
+    """One robot of a program. `externs` as in World; `followed` as in Trace: then any event may have been chosen whose
+    guard holds, or none, and of a "step" `init` is what the counterexample begins with."""
+
+    program: decl.Program
+    externs: Mapping[str, Any]
+    pid: int
+    n_sys: int
+    counts: Counts = field(default_factory=Counts)
+    followed: str = ""
+
+    def __post_init__(self) -> None:
+        self._types: dict[str, Type] = declared(self.program)
+        self._first = initial(self.program, self.n_sys)
+        self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
+        self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
+        self._actuators: dict[str, Value] = {}
+        self._store: dict[str, Any] = {}  # its copy: of an allread variable by pid
+        self._streams: list[tuple[str, str]] = []
+        self._round = 0
+        self._begun = False  # its own variables are known
+        # The copy of the shared store that the last line says the robot saw: of an allread variable by pid.
+        self.saw: Mapping[str, Any] | None = None
+
+    def line(self, line: Line) -> Iterator[Difference]:
+        """What is not as it is meant. Raises Unreplayable."""
+        self.saw = None
+        record = line.record
+        try:
+            match record["kind"]:
+                case "init":
+                    yield from self._init(line, record)
+                case "checkpoint":
+                    yield from self._checkpoint(line, record)
+                case "round":
+                    yield from self.end(line.number)
+                    self._round = int(record["round"])
+                    yield from self._take_round(line, record)
+                case _:
+                    yield from self._stream(line, record)
+        except (BadValue, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+            told = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
+            raise Unreplayable(line.number, told) from None
+
+    def end(self, number: int) -> Iterator[Difference]:
+        """No more of the last round comes."""
+        for port, text in self._streams:
+            yield Difference(number, self._round, self.pid, port, None, text)
+        self._streams = []
+
+    def skip(self) -> None:
+        """Records are missing before the next line: what it says of the robot's own variables is not compared."""
+        self._begun, self._streams = False, []
+
+    def _checkpoint(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        """Another part begins. Where the part before it was replayed, its own variables must be as they were left."""
+        self._store = {}
+        if self._begun and record["round"] != self._round:
+            self.skip()
+        self._round = int(record["round"])
+        own = record.get("own")
+        if own is None:
+            return
+        for group, known in (("locals", self._own), ("actuators", self._actuators)):
+            told = own.get(group, {})
+            for name in {**known, **told}:
+                meant = plain(known[name]) if name in known else None
+                if name in known and told.get(name) == meant:
+                    continue  # and stays exactly, where the trace has null for what is not finite
+                if self._begun:
+                    yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
+                known.update(self._values({name: told[name]} if name in told else {}))
+        self._begun = True
+
+    def _init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        self._round, self._store, self._begun = 0, {}, True
+        if self.followed != "step":
+            yield from self._ran_init(line, record)
+        self._own = self._values(record["locals"])
+        self._actuators = self._values(record["actuators"])
+
+    def _ran_init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        given = {**self._unset(record), **self._values(record["sensors"])}
+        state = initial(self.program, self.n_sys, [given if p == self.pid else {} for p in range(self.n_sys)])
+        actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
+        done = execute(self.program, self.program.init, state, self.pid, self._world(record))
+        if isinstance(done, Discarded):
+            yield Difference(line.number, 0, self.pid, "init", "it ran", f"it is discarded: {done}")
+        else:
+            meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
+            yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
+            yield from self._loops(line, record, done)
+            self._streams = list(done.streams)
+
+    def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
+        """A target that nobody wrote is where the robot is, which it does not tell of unless the program asks."""
+        targets = [name for name in record["actuators"] if name.endswith(".target")]
+        hidden = [n for n in targets if n.removesuffix(".target") + ".position" not in record["sensors"]]
+        return {name: taken(record["actuators"][name], self._types[name]) for name in hidden}
+
+    def _take_round(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        self.counts.rounds += 1
+        restored = record.get("restored")
+        if restored is not None:
+            self._begun = True
+            self._own, self._actuators = self._values(restored["locals"]), self._values(restored["actuators"])
+        event, fault = record.get("event"), record.get("fault")
+        if not had_frame(record):
+            return
+        self._learn(record.get("copy", {}))
+        self.saw = {name: dict(held) if name in self._slots else held for name, held in self._store.items()}
+        state = self._state(line, record)
+        chosen = self._chosen(state, record)
+        if fault is not None:
+            yield from self._fault(line, event, fault, chosen, state, record)
+            return
+        meant = (
+            None if chosen is None else chosen.name if isinstance(chosen, decl.Event) else f"{chosen.event} discarded"
+        )
+        if event != meant:
+            yield Difference(line.number, self._round, self.pid, "the event", event, meant)
+        elif isinstance(chosen, decl.Event):
+            self.counts.events += 1
+            yield from self._event(
+                line, record, execute(self.program, chosen.effect, state, self.pid, self._world(record))
+            )
+        self._own |= self._values(record.get("locals", {}))
+        self._actuators |= self._values(record.get("actuators", {}))
+        for name, value in record.get("shared", {}).items():
+            if name in self._slots:
+                self._store[name][self.pid] = taken(value, self._types[name])
+            else:
+                self._store[name] = taken(value, self._types[name])
+
+    def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
+        """The event that the robot must have chosen; a Step is one whose guard has no value."""
+        world, name = self._world(record), record.get("event")
+        if not self.followed:
+            return select(self.program, state, self.pid, world)
+        if name is None and record.get("fault") is None:
+            return None
+        named = [event for event in self.program.events if name is None or event.name == name]
+        tried = (event for event in named if has_priority(self.program, event, state, self.pid, world))
+        found = (select(replace(self.program, events=(event,)), state, self.pid, world) for event in tried)
+        return next((each for each in found if isinstance(each, Step) is (name is None) and each is not None), None)
+
+    def _event(self, line: Line, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
+        if isinstance(done, Discarded):
+            yield Difference(
+                line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
+            )
+            return
+        # A local that was written with the value it had is not told.
+        told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
+        meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
+        yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
+        yield from self._loops(line, record, done)
+        self._streams = list(done.streams)
+        for name, value in done.locals.items():  # exactly, where the trace has null for what is not finite
+            if plain(value) == told[name]:
+                self._own[name] = value
+
+    def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
+        """Compare the lines of the loop invariants that were false."""
+        told, meant = record.get("violated", []), [span.line for span in done.violated]
+        self.counts.violated += bool(meant)
+        if told != meant:
+            yield Difference(line.number, self._round, self.pid, "what loop invariants were false", told, meant)
+
+    def _fault(
+        self, line: Line, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
+        record: dict[str, Any],
+    ) -> Iterator[Difference]:  # fmt: skip
+        """What the robot discarded must have no value; only its clock knows what came too late."""
+        if fault.get("reason") == OVERRAN:
+            self.counts.late += 1
+            return
+        done: Any = chosen.outcome if isinstance(chosen, Step) else chosen
+        if isinstance(chosen, decl.Event):
+            done = execute(self.program, chosen.effect, state, self.pid, self._world(record))
+        told = f"discarded at line {fault.get('line')}: {fault.get('reason')}"
+        name = chosen.name if isinstance(chosen, decl.Event) else None
+        if not isinstance(done, Discarded):
+            yield Difference(line.number, self._round, self.pid, f"event {event or name}", told, "it counts")
+        elif event != name or done.span.line != fault.get("line"):
+            yield Difference(line.number, self._round, self.pid, f"event {event}", told, f"{name} discarded at {done}")
+
+    def _stream(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        told = (str(record["port"]), str(record["text"]))
+        meant = self._streams.pop(0) if self._streams else None
+        if told != meant:
+            yield Difference(line.number, int(record["round"]), self.pid, told[0], told[1], meant and meant[1])
+
+    def _compared(self, line: Line, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
+        for group, values in meant.items():
+            told = record.get(group, False if group == "stopped" else {})
+            if group == "stopped":
+                if bool(told) != values:
+                    yield Difference(line.number, self._round, self.pid, "stop", bool(told), values)
+                continue
+            for name in [*values, *[n for n in told if n not in values]]:
+                wanted = plain(values[name]) if name in values else None
+                if name not in told or name not in values or told[name] != wanted:
+                    yield Difference(line.number, self._round, self.pid, name, told.get(name), wanted)
+
+    def _learn(self, copy: dict[str, Any]) -> None:
+        for name, value in copy.items():
+            if name in self._slots:
+                slots = self._store.setdefault(name, {})
+                slots.update({int(pid): taken(own, self._types[name]) for pid, own in value.items()})
+            else:
+                self._store[name] = taken(value, self._types[name])
+
+    def _state(self, line: Line, record: dict[str, Any]) -> State:
+        """What this robot saw; of the others nothing is known, nor can an event ask for it."""
+        for shared in self.program.shared:
+            known = self._store.get(shared.name)
+            if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
+                raise Unreplayable(line.number, f"it is not told what {shared.name} was (an older trace?)")
+        slots = {n: tuple([self._store[n][p] for p in range(self.n_sys)]) for n in self._slots}
+        cells = {name: value for name, value in self._store.items() if name not in self._slots}
+        own = Robot(self._own, {**self._actuators, **self._values(record["sensors"])}, False)
+        robots = tuple([own if p == self.pid else r for p, r in enumerate(self._first.robots)])
+        return State(self._first.params, robots, Store(slots, cells), self._round)
+
+    def _world(self, record: dict[str, Any]) -> World:
+        """Callable ports answer as they did, in their order; what was not asked then fails, as it did then."""
+        calls = [(port, args, answer) for port, args, answer in record.get("calls", [])]
+
+        def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+            given = [plain(arg) for arg in args]
+            for k, (name, asked, found) in enumerate(calls):
+                if name == port and asked == given:
+                    if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
+                        del calls[k]  # the next time it may have said something else
+                    return taken(found, self._types[port])
+            raise LookupError(f"{port} was not asked that")
+
+        return World(self.externs, answer)
+
+    def _values(self, told: Mapping[str, Any]) -> dict[str, Value]:
+        return {name: taken(value, self._types[name]) for name, value in told.items()}

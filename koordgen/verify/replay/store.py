@@ -1,0 +1,55 @@
+"""The shared store round by round, made of what robots say that they wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from koordgen.lang.ir import decl
+from koordgen.lang.semantics.step import initial
+from koordgen.runtime.program.skips import NO_EVENT
+from koordgen.verify.replay.values import plain
+
+Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid
+
+
+class Writes:
+    """What was written in each round. It is applied as agents do: first commits, then plain events by ascending pid."""
+
+    def __init__(self, program: decl.Program, n_sys: int) -> None:
+        self.slots = {v.name for v in program.shared if v.kind == "allread"}
+        self._locks = {event.name: event.lock is not None for event in program.events}
+        self._told: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
+        self._initial = initial(program, n_sys).store
+
+    def hear(self, pid: int, record: Mapping[str, Any]) -> None:
+        """A robot's record of `init` or of a round."""
+        if record.get("shared"):
+            plain_event = not self._locks.get(record.get("event") or "", False)
+            self._told.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
+
+    def first(self) -> Shown:
+        """The store before `init`."""
+        return {
+            **{n: [plain(v) for v in held] for n, held in self._initial.slots.items()},
+            **{n: plain(v) for n, v in self._initial.cells.items()},
+        }
+
+    def after(self, store: Shown, round_: int) -> Shown:
+        """The store after a round, by the one before it; round 0 is `init`."""
+        writes = self._told.get(round_)
+        if not writes:
+            return store
+        found = dict(store)
+        for _, pid, shared in sorted(writes, key=lambda w: w[:2]):
+            for name, value in shared.items():
+                found[name] = (
+                    [value if p == pid else own for p, own in enumerate(found[name])] if name in self.slots else value
+                )
+        return found
+
+
+def had_frame(record: Mapping[str, Any]) -> bool:
+    """Whether a robot looked at its copy of the store in a round: it did unless it skipped before that."""
+    looked = record.get("event") is not None or record.get("fault") is not None
+    return looked or record.get("skipped") == NO_EVENT

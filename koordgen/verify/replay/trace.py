@@ -1,0 +1,166 @@
+"""Traces of format koord-trace/1 as the replayer reads them: a robot's own, and the merged one of a run.
+
+A robot's own trace may have several parts (koordgen/runtime/trace/parts.py): they are read as one trace.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from koordgen.runtime.trace.parts import base_of, numbered
+from koordgen.verify.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
+
+FORMAT = "koord-trace/1"
+LONGEST = 8 << 20  # bytes of a header
+KINDS = ("init", "round", "stream", "view", "checkpoint")
+
+
+class BadTrace(Exception):
+    """A file that is no trace, or is broken amid it; the message names the file and the line."""
+
+
+class Line(NamedTuple):
+    """One record, by its number in the file, from 1; in a trace of several parts the numbers go on through them."""
+
+    number: int
+    pid: int
+    record: dict[str, Any]
+
+
+@dataclass
+class Trace:
+    """A trace's header; `robots` are the fleet's names, by pid, empty of robots whose names it does not say. `own`: it
+    is one robot's, `pid` which one. `followed`: of a run that followed a counterexample, a "run" or a "step", else "".
+    `older`: the parts before the one at `path`, oldest first. `lines` reads the rest; when a file ends amid a line,
+    `cut` is its number; when the oldest parts are missing, `since` is the first round that is known."""
+
+    path: Path
+    app: str
+    program_hash: str
+    robots: tuple[str, ...]
+    own: bool
+    pid: int
+    cut: int = 0
+    followed: str = ""
+    older: tuple[Path, ...] = ()
+    since: int = 0
+    begins: list[tuple[int, Path]] = field(default_factory=list)  # each part, and the lines that are before it
+
+    def place(self, number: int) -> str:
+        """Return the file of a line that was read, with the line's number in that file."""
+        before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
+        return f"{path}:{number - before}"
+
+    def lines(self) -> Iterator[Line]:
+        """The records that a replay needs, in their order. Raises BadTrace."""
+        last: dict[int, int] = {}  # the round that each robot told of last
+        for number, record in records(self):
+            if record.get("kind") not in KINDS:
+                continue
+            pid = self.pid if self.own else record.get("pid")
+            if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
+                raise BadTrace(f"{self.place(number)}: no robot {pid!r}")
+            if flaw := flaw_of(record):
+                raise BadTrace(f"{self.place(number)}: {flaw}")
+            if record["kind"] == "checkpoint" and not last:
+                self.since = self.since or record["round"] + 1
+            if record["kind"] == "round" and record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
+                raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
+            if record["kind"] in ("init", "round"):
+                last[pid] = record.get("round", 0)
+            yield Line(number, pid, record)
+
+
+def opened(path: Path) -> Trace:
+    """The trace at `path`, with the parts before it. Raises BadTrace."""
+    *older, path = parts_of(path)
+    blank = Trace(path, "", "", (), False, 0)
+    number, header = next(records(blank), (0, {}))
+    if header.get("kind") != "header" or header.get("format") != FORMAT:
+        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    try:
+        app, program_hash = str(header["app"]), str(header.get("program_hash", ""))
+        if "counterexample" in header:
+            raise BadTrace(f"{path} is a counterexample's, not of a run: `koordgen sim --follow` lets agents run it")
+        followed = str(header.get("followed", ""))
+        if "robots" in header:
+            names = tuple(str(robot["name"]) for robot in header["robots"])
+            if not 1 <= len(names) <= MOST_ROBOTS:
+                raise ValueError(f"{len(names)} robots")
+            return Trace(path, app, program_hash, names, False, 0, followed=followed)
+        n, pid = int(header["n_sys"]), int(header["pid"])
+        if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
+            raise ValueError(f"pid {pid} of {n} robots")
+        names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
+        return Trace(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
+
+
+def parts_of(path: Path) -> list[Path]:
+    """Return the parts of a robot's trace that ends with the part at `path`, oldest first.
+
+    A part without a header was killed as it began: where `path` is one, or is not there, the newest older part stands
+    for it. Of any other file only `path` itself is returned. Raises BadTrace.
+    """
+    try:
+        base, number = base_of(path)
+        older = [each for at, each in numbered(base) if number is None or at < number]
+        if older and _is_unwritten(path):
+            path = older.pop()
+        parts, last = [path], header_of(path) or {}
+        while last.get("part") and older:
+            header = header_of(older[-1]) or {}
+            if any(header.get(name, 0) != value for name, value in {**last, "part": last["part"] - 1}.items()):
+                break
+            parts.insert(0, older.pop())
+            last = header
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    return parts
+
+
+def header_of(path: Path) -> dict[str, Any] | None:
+    """Return the header of a trace; None where the file has none. Raises OSError."""
+    with path.open("rb") as file:
+        line = file.readline(LONGEST)
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) and record.get("format") == FORMAT and not flaw_of(record) else None
+
+
+def _is_unwritten(path: Path) -> bool:
+    """Return whether not even the first line of a part is whole."""
+    if not path.exists():
+        return True
+    with path.open("rb") as file:
+        return not file.readline(LONGEST).endswith(b"\n")
+
+
+def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Every record with the number of its line. Raises BadTrace."""
+    trace.begins, number = [], 0
+    for path in (*trace.older, trace.path):
+        trace.begins.append((number, path))
+        try:
+            with path.open("rb") as file:
+                for line in file:
+                    number += 1
+                    try:
+                        record = json.loads(line)
+                    except (ValueError, RecursionError):
+                        if line.endswith(b"\n"):
+                            raise BadTrace(f"{trace.place(number)}: no line of JSON, as traces have them") from None
+                        trace.cut = number
+                        break
+                    if not isinstance(record, dict):
+                        raise BadTrace(f"{trace.place(number)}: no record")
+                    yield number, record
+        except OSError as error:
+            raise BadTrace(f"{path}: {error.strerror or error}") from None
