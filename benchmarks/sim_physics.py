@@ -26,9 +26,9 @@ from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, S
 from koordgen.runtime.values.points import Point
 from targets.sim.bullet import Bullet
 from targets.sim.car import SimulatedCar
-from targets.sim.contacts import PYBULLET
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.quadrotor import SimulatedQuadrotor
+from targets.sim.scenario import PYBULLET
 from targets.sim.sight import Eye
 from targets.sim.world import STEP, World
 

@@ -27,7 +27,7 @@ COMMANDS: dict[str, Command] = {
     "examples": Command(WRITE, "list the examples, or copy one", options.examples, "cli#new-examples-docs", (
         "koordgen examples copy lineform", "koordgen examples copy task my/tasks")),
     "check": Command(WRITE, "check a program", options.check, "cli", (
-        f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.cli.base.sarif")),
+        f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.sarif")),
     "fmt": Command(WRITE, "format programs in place", options.fmt, "cli#fmt", (
         "koordgen fmt app.koord", "koordgen fmt --diff app.koord other.koord")),
     "explain": Command(WRITE, "explain an error code, a verdict, or why robots skip rounds", options.explain,

@@ -16,9 +16,8 @@ from typing import Protocol
 
 from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import Vector
+from targets.sim.scenario import AUTO, MUJOCO, PACKAGES, PYBULLET
 
-AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"
-PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # what pip calls them
 TOUCHING = 1e-3  # m; surfaces that are so near touch
 FLOOR_FRICTION = 0.5  # of a floor of friction 1
 OBSTACLE_FRICTION = 0.5  # what PyBullet gives to all that says nothing else

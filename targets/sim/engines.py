@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from targets.sim.contacts import PYBULLET, Engine, choose
+from targets.sim.contacts import Engine, choose
+from targets.sim.scenario import PYBULLET
 
 
 def make(wanted: str, step: float, friction: float = 1.0, gui: bool = False) -> Engine:

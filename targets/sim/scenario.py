@@ -12,7 +12,10 @@ import msgspec
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.bodies import Vector
-from targets.sim.contacts import AUTO, PACKAGES
+
+AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"
+PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # what pip calls them
+
 
 FILE = "scenario.json"
 

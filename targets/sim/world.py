@@ -16,11 +16,11 @@ import numpy as np
 
 from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.contacts import AUTO, Solid, Touched
+from targets.sim.contacts import Solid, Touched
 from targets.sim.engines import make
 from targets.sim.near import LOOK_EVERY, Near
 from targets.sim.rigid import Array, Mask, Motions, advance, rotations
-from targets.sim.scenario import Wind
+from targets.sim.scenario import AUTO, Wind
 from targets.sim.sight import Bodies, Eye, Scenery, look
 from targets.sim.wind import Air
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from targets.sim.contacts import PACKAGES, PYBULLET, is_installed
+from targets.sim.contacts import is_installed
+from targets.sim.scenario import PACKAGES, PYBULLET
 
 
 def _missing(engine: str) -> str:

@@ -16,8 +16,8 @@ from koordgen.runtime.values.points import Point
 from targets.sim.bodies import Vector
 from targets.sim.bullet import Bullet
 from targets.sim.car import HEIGHT, SimulatedCar
-from targets.sim.contacts import PYBULLET
 from targets.sim.quadrotor import RADIUS, SimulatedQuadrotor
+from targets.sim.scenario import PYBULLET
 from targets.sim.sight import Eye
 from targets.sim.world import World
 from tests.sim.engines import needs_pybullet
