@@ -30,13 +30,13 @@ from typing import Any, Protocol
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.slalom import LIMITS, aside, slalom_path
-from targets.car.bicycle import State
-from targets.car.mpc import STEP, STEPS, Command
-from targets.car.solver import compiled
-from targets.car.solver.fallback import CasadiSolver, nonlinear_program, upper_bounds
-from targets.car.solver.model import INPUTS, STATES, step
-from targets.car.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Solver
-from targets.car.tracker import Track
+from targets.car.base.bicycle import State
+from targets.car.control.mpc import STEP, STEPS, Command
+from targets.car.control.solver import compiled
+from targets.car.control.solver.fallback import CasadiSolver, nonlinear_program, upper_bounds
+from targets.car.control.solver.model import INPUTS, STATES, step
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Solver
+from targets.car.control.tracker import Track
 
 NOISE = 0.003  # m, rad; standard deviation a step, of the place and of the heading
 ARCS, QUICK_ARCS = 12, 3

@@ -44,8 +44,8 @@ from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import CAR, Case, ask, case, curve
 from koordgen.runtime.values.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.values.points import Point
-from targets.car.ask import Asked
-from targets.car.planner import segments
+from targets.car.planning.ask import Asked
+from targets.car.planning.planner import segments
 from targets.planning.process import SHARE
 
 SCENES, QUICK = 60, 15

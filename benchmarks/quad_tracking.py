@@ -32,10 +32,10 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.link import Link
 from targets.mavlink.transport import opened
-from targets.quad.flight import Flight, Phase
-from targets.quad.motion import Motion
-from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, setpoint
-from targets.quad.telemetry import Telemetry
+from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.telemetry import Telemetry
+from targets.quad.motion.motion import Motion
+from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, setpoint
 
 HEIGHT, ROOM = 2.0, 12.0
 CLIMB = 0.7  # m/s

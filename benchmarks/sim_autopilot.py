@@ -18,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass
-from targets.quad.ardupilot import ARDUPILOT
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
-from targets.sim.ports import UdpPort
+from targets.quad.autopilot.ardupilot import ARDUPILOT
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
+from targets.sim.base.ports import UdpPort
 
 BUDGET = 0.04  # of a core
 POSITION_VELOCITY = 0xDC0

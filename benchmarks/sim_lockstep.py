@@ -18,10 +18,10 @@ from typing import Any
 import msgspec
 
 from koordgen.cli import main
-from targets.sim import scenario
-from targets.sim.bodies import BodyState
+from targets.sim.base import scenario
+from targets.sim.base.bodies import BodyState
 from targets.sim.lockstep.run import Lockstep
-from targets.sim.stage import Stage
+from targets.sim.run.stage import Stage
 
 PROGRAM = Path(__file__).parents[1] / "examples" / "lineform" / "lineform.koord"
 

@@ -24,13 +24,13 @@ import numpy as np
 from benchmarks.fixtures.rays import to_obstacle
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.bullet import Bullet
-from targets.sim.car import SimulatedCar
-from targets.sim.first_order import SimpleCar, SimpleQuadrotor
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.scenario import PYBULLET
-from targets.sim.sight import Eye
-from targets.sim.world import STEP, World
+from targets.sim.base.scenario import PYBULLET
+from targets.sim.physics.bullet import Bullet
+from targets.sim.physics.car import SimulatedCar
+from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.sight import Eye
+from targets.sim.physics.world import STEP, World
 
 Step = Callable[[], object]
 
@@ -144,7 +144,7 @@ def gym_drones(folder: Path, count: int) -> Step:
 def racecars(count: int) -> tuple[Callable[[], None], Step]:
     """PyBullet's racecar/racecar.urdf: in every step a velocity for each of its four wheels, a position for each of its
     two hinges, and its position and velocity asked for; how to end it, and a step."""
-    from targets.sim.bullet import _pybullet
+    from targets.sim.physics.bullet import _pybullet
 
     bullet = _pybullet()
     import pybullet_data

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.runtime.net import courier, gate
-from targets.car.solver import compiled
+from targets.car.control.solver import compiled
 
 ROOT = Path(__file__).parents[1]
 FLAGS = {courier.SOURCE: courier.FLAGS, gate.SOURCE: gate.FLAGS, compiled.SOURCE: compiled.FLAGS}

@@ -50,8 +50,8 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
     assert {
         "koordgen/_data/templates/program.py.j2",
         "koordgen/_data/targets/quad/manifest.toml",
-        "koordgen/_data/targets/quad/platform.py",
-        "koordgen/_data/targets/car/solver/mpc.c",
+        "koordgen/_data/targets/quad/platform/platform.py",
+        "koordgen/_data/targets/car/control/solver/mpc.c",
         "koordgen/_data/targets/sim/harness.py",
         "koordgen/_data/targets/__init__.py",
         "koordgen/runtime/agent/process.py",

@@ -70,7 +70,7 @@ def _fitting(source: Path, wanted: str) -> Program | None:
 def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:
     """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
     is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
-    from targets.sim.collected import merge
+    from targets.sim.trace.collected import merge
 
     names = [robot.name for robot in fleet.robots]
     flew = [story.name if story.lives else name for story, name in zip(whole.stories, names, strict=False)]

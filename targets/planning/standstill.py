@@ -6,7 +6,7 @@ from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.platform import Unready
 
 # Seconds without motion after which a vehicle counts as standing still: longer than an autopilot may seem not to follow
-# setpoints (`targets.quad.motion.UNFOLLOWED`), which has a message of its own.
+# setpoints (`targets.quad.motion.motion.UNFOLLOWED`), which has a message of its own.
 NO_PROGRESS = 8.0
 MOVED = 0.1  # m that count as motion
 SAME_PLACE = 0.3  # m from where a vehicle stood still within which the next time is in the same place

@@ -23,24 +23,24 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from koordgen.runtime.ops.host import install_requirements, pip_install
-from targets.sim import faults
-from targets.sim.contacts import NoEngine, choose
-from targets.sim.folder import GIVEN, SOURCE, Foreign, RunFolder
-from targets.sim.scatter import scattered
-from targets.sim.scenario import FILE, BadScenario, Scenario, load
-from targets.sim.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
+from targets.sim.base.folder import GIVEN, SOURCE, Foreign, RunFolder
+from targets.sim.base.scenario import FILE, BadScenario, Scenario, load
+from targets.sim.base.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
+from targets.sim.physics.contacts import NoEngine, choose
+from targets.sim.run import faults
+from targets.sim.run.scatter import scattered
 
 if TYPE_CHECKING:
     from targets.sim.follow.guide import Guide
     from targets.sim.follow.plan import Plan
-    from targets.sim.progress import Progress
-    from targets.sim.run import Outcome, Run
-    from targets.sim.trace import Header
-    from targets.sim.view.control import Given
-    from targets.sim.view.live import Live, Paced
-    from targets.sim.view.stream import Streamed
-    from targets.sim.watch import Watcher
-    from targets.sim.windows import Windows
+    from targets.sim.judging.watch import Watcher
+    from targets.sim.judging.windows import Windows
+    from targets.sim.run.progress import Progress
+    from targets.sim.run.run import Outcome, Run
+    from targets.sim.trace.schema import Header
+    from targets.sim.view.foxglove.stream import Streamed
+    from targets.sim.view.web.control import Given
+    from targets.sim.view.web.live import Live, Paced
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 6, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -68,7 +68,8 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
-        from targets.sim.view import live, stream
+        from targets.sim.view.foxglove import stream
+        from targets.sim.view.web import live
 
         # The views first: what is in their way must not cost what an earlier run left.
         offer = {"lockstep": options.lockstep, "faults": plan is None}
@@ -211,7 +212,7 @@ def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
 
 def _require(scenario: Scenario, placed: bool) -> None:
     """Find out now, and not after the run, that a package is missing. Bodies that are placed may be anywhere."""
-    from targets.sim import stage
+    from targets.sim.run import stage
 
     for name in NEEDED:
         if importlib.util.find_spec(name) is None:
@@ -245,9 +246,10 @@ def _run(
 ) -> int:  # fmt: skip
     import msgspec
 
-    from targets.sim import summary, trace
-    from targets.sim.host_load import HostLoad
-    from targets.sim.progress import Progress
+    from targets.sim.judging import summary
+    from targets.sim.judging.host_load import HostLoad
+    from targets.sim.run.progress import Progress
+    from targets.sim.trace import schema as trace
 
     header, view = _header(scenario, plan, options), views[0]
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
@@ -305,10 +307,10 @@ def _following(
     root: Path, scenario: Scenario, plan: Plan, folder: Path, options: argparse.Namespace, progress: Progress
 ) -> tuple[Run, Watcher, Guide]:
     """As `_made`, of a run that follows a plan."""
-    from targets.sim import watch
     from targets.sim.follow.conduct import Follow
     from targets.sim.follow.guide import Guide
-    from targets.sim.run import Run
+    from targets.sim.judging import watch
+    from targets.sim.run.run import Run
 
     properties = watch.load(root)
     watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
@@ -323,12 +325,12 @@ def _made(
     root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, progress: Progress
 ) -> tuple[Run, Watcher, Windows | None]:
     """The run with all that goes along with it, ready to be executed."""
-    from targets.sim import watch
-    from targets.sim.idle import IDLE_TIMEOUT, Idle
+    from targets.sim.judging import watch
+    from targets.sim.judging.idle import IDLE_TIMEOUT, Idle
+    from targets.sim.judging.windows import Windows
     from targets.sim.lockstep.run import Lockstep
-    from targets.sim.realtime import RealTime
-    from targets.sim.run import Run
-    from targets.sim.windows import Windows
+    from targets.sim.realtime.realtime import RealTime
+    from targets.sim.run.run import Run
 
     robots = tuple(robot.name for robot in scenario.robots)
     properties = watch.load(root)
@@ -345,8 +347,8 @@ def _steered(
     run: Run, wrong: tuple[Schedule, Any], folder: Path, options: argparse.Namespace, view: Live | None
 ) -> tuple[Given | None, Paced | None]:
     """Add the companions that bring about faults, and that hold the run back: as its options or as the page says."""
-    from targets.sim.view.control import Control, Given
-    from targets.sim.view.live import Paced
+    from targets.sim.view.web.control import Control, Given
+    from targets.sim.view.web.live import Paced
 
     schedule, told = wrong
     given, paced = None, Paced(options.pace) if options.lockstep else None
@@ -364,7 +366,7 @@ def _steered(
 
 def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
     """The merged trace's, of a run that has a round 1."""
-    from targets.sim.trace import FORMAT, Header, RobotName
+    from targets.sim.trace.schema import FORMAT, Header, RobotName
 
     names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
     return Header(

@@ -41,7 +41,7 @@ def test_all_robots_of_a_build_are_of_one_release_whichever_are_built() -> None:
 
 def test_vendored_code_is_in_the_simulators_bundle_with_its_licence_and_in_no_robots() -> None:
     found = bundles()
-    vendor = "targets/sim/view/page/vendor"
+    vendor = "targets/sim/view/web/page/vendor"
     carried = {path for path in found["sim"] if "vendor" in path}
     assert carried == {f"{vendor}/three.min.js", f"{vendor}/LICENSE"}
     assert found["sim"][f"{vendor}/LICENSE"].decode().strip() in found["sim"][f"{vendor}/three.min.js"].decode()

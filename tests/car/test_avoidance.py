@@ -12,9 +12,9 @@ from benchmarks.fixtures.car_checker import gap, outline
 from koordgen.runtime.values.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.avoidance import MakePlanning
-from targets.car.ground import PAD, ground
-from targets.car.platform import Car
+from targets.car.planning.avoidance import MakePlanning
+from targets.car.planning.ground import PAD, ground
+from targets.car.platform.platform import Car
 from targets.planning.pipe import Answer
 from targets.planning.process import JUDGE, Inside
 from targets.planning.world import Scene
@@ -110,7 +110,7 @@ def test_a_path_through_an_obstacle_is_refused_and_told_once() -> None:
 def test_where_no_way_leads_the_car_stands_and_says_why(
     obstacle: Obstacle, x: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.05)
+    monkeypatch.setattr("targets.car.planning.avoidance.PATIENCE", 0.05)
     world = among(obstacle)
     world.go(x, 0.0)
     world.run(2.0)
@@ -241,7 +241,7 @@ def test_a_car_stops_before_a_path_that_another_publishes_across_its_own_and_goe
     when: float, room: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second comes too late to stop in time: it stops as soon as it can, and stays out of the middle of it."""
-    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.1)
+    monkeypatch.setattr("targets.car.planning.avoidance.PATIENCE", 0.1)
     world = among(WALL_WITH_GAP[0], WALL_WITH_GAP[1])
     world.go(3.0, 0.0)
     world.run(when)

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from targets.car import vesc
-from targets.car.diagnosis import limits
-from targets.car.platform import Car
-from targets.car.settings import decode
+from targets.car.base.settings import decode
+from targets.car.drive import vesc
+from targets.car.platform.diagnosis import limits
+from targets.car.platform.platform import Car
 from tests.car.world import FENCE, KEY, NoLinks, TestBody, World, robot_settings
 
 

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from koordgen.runtime.values.points import Point
-from targets.car import vesc
-from targets.car.platform import Car
+from targets.car.drive import vesc
+from targets.car.platform.platform import Car
 from targets.planning.process import Inside
 from tests.car.world import FENCE, KEY, TestBody, World, robot_settings, standing
 
@@ -172,7 +172,7 @@ def test_it_stops_short_of_no_target_by_much_whatever_its_lag() -> None:
 
 
 def test_an_unreachable_target_is_said_and_the_car_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.05)
+    monkeypatch.setattr("targets.car.planning.avoidance.PATIENCE", 0.05)
     # Nose to the wall in a lane too narrow to turn in.
     settings = msgspec.structs.replace(
         robot_settings({}), geofence=type(FENCE)(Point(-3.0, -0.04, -1.0), Point(3.0, 0.04, 1.0))

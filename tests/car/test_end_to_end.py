@@ -19,18 +19,18 @@ from benchmarks.fixtures.car_checker import collisions
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car import vesc
-from targets.car.curves import Curve
-from targets.car.links import RealLinks
-from targets.car.planner import JUDGE, Plan, Wish, segments
-from targets.car.platform import Car
-from targets.car.settings import CarSettings
+from targets.car.base.settings import CarSettings
+from targets.car.drive import vesc
+from targets.car.drive.links import RealLinks
+from targets.car.planning.curves import Curve
+from targets.car.planning.planner import JUDGE, Plan, Wish, segments
+from targets.car.platform.platform import Car
 from targets.planning.process import Beside, Inside, made
 from targets.planning.world import Scene
-from targets.sim.bodies import Device
-from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive, simulated
-from targets.sim.rover import SimulatedRover
-from targets.sim.station import SimulatedFeed
+from targets.sim.autopilots.drive import TIMEOUT, Controller, SimulatedDrive, simulated
+from targets.sim.autopilots.rover import SimulatedRover
+from targets.sim.base.bodies import Device
+from targets.sim.sensing.station import SimulatedFeed
 from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 

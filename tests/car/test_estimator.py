@@ -8,8 +8,8 @@ import random
 import pytest
 
 from koordgen.runtime.values.points import Point, Pose
-from targets.car.bicycle import State, advance, turning_radius, wrap
-from targets.car.estimator import Estimator
+from targets.car.base.bicycle import State, advance, turning_radius, wrap
+from targets.car.control.estimator import Estimator
 
 WHEELBASE = 0.33
 

@@ -12,9 +12,9 @@ import pytest
 from koordgen.runtime.values.points import Point, Pose
 from koordgen.runtime.vehicle.feed import Sample, encode
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car import vesc
-from targets.car.platform import WAIT_FOR_FEED, Car
-from targets.car.vesc_drive import STARTING
+from targets.car.drive import vesc
+from targets.car.drive.vesc_drive import STARTING
+from targets.car.platform.platform import WAIT_FOR_FEED, Car
 from tests.car.world import KEY, NoLinks, World, datagram, robot_settings, standing
 
 

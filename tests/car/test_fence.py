@@ -9,9 +9,9 @@ import pytest
 
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point
-from targets.car.bicycle import State, advance
-from targets.car.fence import beyond, stops_inside
-from targets.car.mpc import STEP, Command
+from targets.car.base.bicycle import State, advance
+from targets.car.control.fence import beyond, stops_inside
+from targets.car.control.mpc import STEP, Command
 from tests.car.world import FENCE, TestBody, World
 
 WHEELBASE, DECELERATION = 0.33, 3.0

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from targets.car.approach import Approach
-from targets.car.lag import LONGEST_LAG, Lag
-from targets.car.links import RealLinks
+from targets.car.control.lag import LONGEST_LAG, Lag
+from targets.car.drive.links import RealLinks
+from targets.car.planning.approach import Approach
 from tests.car.test_rover import World as Rover
 from tests.car.world import TestBody, World, standing
 

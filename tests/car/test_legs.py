@@ -14,9 +14,9 @@ from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.bicycle import State, advance
-from targets.car.navigator import STRAYED
-from targets.car.platform import Car
+from targets.car.base.bicycle import State, advance
+from targets.car.control.navigator import STRAYED
+from targets.car.platform.platform import Car
 from targets.planning.process import Inside
 from targets.planning.standstill import NO_PROGRESS
 from tests.car.test_avoidance import BODY, BOX, drive, nearest

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from targets.car.bicycle import State, advance, turning_radius
-from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc, choose
-from targets.car.planner import PathPose, Segment
-from targets.car.tracker import Track, Tracker
+from targets.car.base.bicycle import State, advance, turning_radius
+from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc, choose
+from targets.car.control.tracker import Track, Tracker
+from targets.car.planning.planner import PathPose, Segment
 from tests.car.world import TestBody
 
 LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)

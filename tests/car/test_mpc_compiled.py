@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from koordgen.runtime.native.loader import NotCompiled
-from targets.car.mpc import STEPS, choose
-from targets.car.solver.compiled import CompiledSolver, load
-from targets.car.solver.fallback import CasadiSolver
-from targets.car.solver.problem import Limits
+from targets.car.control.mpc import STEPS, choose
+from targets.car.control.solver.compiled import CompiledSolver, load
+from targets.car.control.solver.fallback import CasadiSolver
+from targets.car.control.solver.problem import Limits
 from tests.car.world import World
 
 LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
@@ -74,7 +74,7 @@ def test_without_a_compiler_casadi_drives_and_it_is_said(cache: Path, monkeypatc
 
 
 def test_with_code_that_answers_wrongly_casadi_drives(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("targets.car.solver.compiled.PROBE_ANSWER", (1.5, 0.0))
+    monkeypatch.setattr("targets.car.control.solver.compiled.PROBE_ANSWER", (1.5, 0.0))
     with pytest.raises(NotCompiled, match="the compiled solver gives a wrong answer to a known problem"):
         load(LIMITS, cache)
     assert isinstance(choose(LIMITS, cache)[0], CasadiSolver)

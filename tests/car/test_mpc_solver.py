@@ -7,11 +7,11 @@ import random
 
 import pytest
 
-from targets.car.bicycle import State, advance
-from targets.car.solver import compiled
-from targets.car.solver.fallback import CasadiSolver
-from targets.car.solver.model import STEP, STEPS
-from targets.car.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
+from targets.car.base.bicycle import State, advance
+from targets.car.control.solver import compiled
+from targets.car.control.solver.fallback import CasadiSolver
+from targets.car.control.solver.model import STEP, STEPS
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
 
 ROLLING = [0.0] * 2 * STEPS  # inputs: no change of speed and steering
 Five = tuple[float, float, float, float, float]

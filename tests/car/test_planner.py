@@ -14,10 +14,10 @@ from benchmarks.fixtures.car_scenes import CAR, ROOM, ask, case, curve, world
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Grid, Point
-from targets.car.ask import Asked
-from targets.car.bicycle import wrap
-from targets.car.curves import Curve, Triple, along, dubins, reeds_shepp
-from targets.car.planner import NEAR_POINTS, arc, points, price, segments
+from targets.car.base.bicycle import wrap
+from targets.car.planning.ask import Asked
+from targets.car.planning.curves import Curve, Triple, along, dubins, reeds_shepp
+from targets.car.planning.planner import NEAR_POINTS, arc, points, price, segments
 from targets.planning.ask import NAMES
 from targets.planning.world import Scene
 

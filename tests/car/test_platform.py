@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Platform
-from targets.car import vesc
+from targets.car.drive import vesc
 from tests.car.world import World, standing
 
 

@@ -15,17 +15,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.fence import beyond
-from targets.car.mpc import Command
-from targets.car.platform import Car
-from targets.car.rover import LOST, MANUAL, STARTING, RoverDrive
-from targets.car.settings import CarSettings, decode
-from targets.car.throttle import SpeedLoop, channel
-from targets.car.watched import WatchdogProcess
+from targets.car.base.settings import CarSettings, decode
+from targets.car.control.fence import beyond
+from targets.car.control.mpc import Command
+from targets.car.drive.rover import LOST, MANUAL, STARTING, RoverDrive
+from targets.car.drive.throttle import SpeedLoop, channel
+from targets.car.drive.watched import WatchdogProcess
+from targets.car.platform.platform import Car
 from targets.mavlink.framing import Framer
 from targets.mavlink.transport import Address, Chunk, Way, opened
 from targets.planning.process import Inside
-from targets.sim.rover import HOLD, SimulatedRover
+from targets.sim.autopilots.rover import HOLD, SimulatedRover
 from tests.car import world as bench
 from tests.car.world import FENCE, KEY, TestBody, context, robot_settings, standing
 

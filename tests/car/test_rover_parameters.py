@@ -9,10 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.vehicle.platform import Finding
-from targets.car.rover_parameters import rules
-from targets.car.settings import CarSettings
-from targets.sim.mavlink_params import Parameters
-from targets.sim.rover import PARAMETERS
+from targets.car.base.settings import CarSettings
+from targets.car.drive.rover_parameters import rules
+from targets.sim.autopilots.mavlink_params import Parameters
+from targets.sim.autopilots.rover import PARAMETERS
 from tests.car.test_rover import URL, World
 
 # A rover as ArduPilot delivers it.
@@ -91,7 +91,7 @@ def test_with_a_remote_control_its_failsafe_is_wanted(monkeypatch: pytest.Monkey
     def sticks(rover: Any, now: float) -> Any:
         return mavlink.MAVLink_rc_channels_message(0, 8, *[1500] * 18, 255)
 
-    monkeypatch.setattr("targets.sim.rover.SimulatedRover._sticks", sticks)
+    monkeypatch.setattr("targets.sim.autopilots.rover.SimulatedRover._sticks", sticks)
     assert examined({})["FS_THR_ENABLE"].wanted == "1"
     assert "FS_THR_ENABLE" not in examined({"FS_THR_ENABLE": 1.0})
 

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.platform import Car
-from targets.car.settings import CarSettings, decode
+from targets.car.base.settings import CarSettings, decode
+from targets.car.platform.platform import Car
 from tests.car.world import KEY, Wire, robot_settings
 
 MANIFEST = Path(__file__).parents[2] / "targets/car/manifest.toml"

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from targets.car.shapes import OVERLAP, Footprint, Shape
+from targets.car.planning.shapes import OVERLAP, Footprint, Shape
 
 BODY = Footprint(0.5, 0.28, 0.085)
 

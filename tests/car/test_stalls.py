@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block, Cylinder
 from koordgen.runtime.values.points import Point
-from targets.sim.upset import Upset
+from targets.sim.base.upset import Upset
 from tests.car.test_avoidance import among
 from tests.car.world import TestBody, World
 
@@ -41,7 +41,7 @@ def test_a_target_inside_an_obstacle() -> None:
 
 
 def test_a_target_in_a_closed_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.04)
+    monkeypatch.setattr("targets.car.planning.avoidance.PATIENCE", 0.04)
     world = among(*ROOM)
     world.go(3.0, 3.0)
     world.run(1.5)
@@ -53,7 +53,7 @@ def test_a_target_in_a_closed_room(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_another_robots_path_across_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits, and has a way around planned again and again; to wait is no failed approach."""
-    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.04)
+    monkeypatch.setattr("targets.car.planning.avoidance.PATIENCE", 0.04)
     world = among(*LANE, body=TestBody(-2.5, 0.0, 0.0))
     world.go(2.5, 0.0)
     world.run(1.0)

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from targets.car import vesc
-from targets.car.settings import CarSettings
-from targets.sim.drive import SimulatedDrive
-from targets.sim.station import SimulatedFeed
+from targets.car.base.settings import CarSettings
+from targets.car.drive import vesc
+from targets.sim.autopilots.drive import SimulatedDrive
+from targets.sim.sensing.station import SimulatedFeed
 from tests.car.world import KEY, PHYSICS, TestBody, context
 
 ROOT = Path(__file__).parents[2]

@@ -10,10 +10,10 @@ import pytest
 
 from benchmarks.fixtures import racecar
 from benchmarks.fixtures.slalom import LIMITS, aside, slalom_path
-from targets.car.bicycle import State
-from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
-from targets.car.planner import PathPose, Segment
-from targets.car.tracker import Track, Tracker
+from targets.car.base.bicycle import State
+from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
+from targets.car.control.tracker import Track, Tracker
+from targets.car.planning.planner import PathPose, Segment
 from tests.car.world import TestBody, World
 
 SLOW = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from targets.car import vesc
+from targets.car.drive import vesc
 
 
 def bitwise_crc(data: bytes) -> int:

@@ -12,11 +12,11 @@ from benchmarks.fixtures.car_checker import collisions, infeasible
 from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import ask, curve, world
 from koordgen.runtime.values.points import Point
-from targets.car.ask import Asked
-from targets.car.field import FAR, Cells, Field
-from targets.car.overlap import ShapeTable
-from targets.car.planner import Area, price, segments
-from targets.car.shapes import Footprint, Shape
+from targets.car.planning.ask import Asked
+from targets.car.planning.field import FAR, Cells, Field
+from targets.car.planning.overlap import ShapeTable
+from targets.car.planning.planner import Area, price, segments
+from targets.car.planning.shapes import Footprint, Shape
 from targets.planning.pipe import Answer
 
 SHORT, LONG = 40, 400  # units of work: about those of 60 ms and of 0.6 s

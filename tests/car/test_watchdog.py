@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car import vesc
-from targets.car.links import SerialLink
-from targets.car.watched import WatchdogProcess
+from targets.car.drive import vesc
+from targets.car.drive.links import SerialLink
+from targets.car.drive.watched import WatchdogProcess
 from tests.terminal import terminal
 
 ROOT = Path(__file__).parents[2]
@@ -208,10 +208,10 @@ def test_one_that_cannot_be_started_is_told_and_nothing_may_be_driven(
 STUCK = """
 import ctypes, sys, time
 from koordgen.runtime.values.geodesy import LocalFrame
-from targets.car.drive import opened
-from targets.car.links import RealLinks
-from targets.car.mpc import Command
-from targets.car.settings import CarSettings
+from targets.car.drive.drive import opened
+from targets.car.drive.links import RealLinks
+from targets.car.control.mpc import Command
+from targets.car.base.settings import CarSettings
 
 drive = opened(CarSettings(drive="vesc:" + sys.argv[1]), RealLinks(), LocalFrame(47.0, 8.0, 488.0))
 begin = time.monotonic()

@@ -14,16 +14,16 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink
 from koordgen.runtime.vehicle.feed import Sample, encode
 from koordgen.runtime.vehicle.platform import Unready
 from koordgen.runtime.vehicle.scans import listen_for_scans
-from targets.car.bicycle import State, advance
-from targets.car.links import RealLinks
-from targets.car.platform import Car
-from targets.car.rover import Route
-from targets.car.settings import decode
-from targets.car.watched import Unwatched
+from targets.car.base.bicycle import State, advance
+from targets.car.base.settings import decode
+from targets.car.drive.links import RealLinks
+from targets.car.drive.rover import Route
+from targets.car.drive.watched import Unwatched
+from targets.car.platform.platform import Car
 from targets.planning.process import Inside
-from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.drive import Controller
-from targets.sim.station import BaseStation
+from targets.sim.autopilots.drive import Controller
+from targets.sim.base.bodies import BodyState, DeviceContext
+from targets.sim.sensing.station import BaseStation
 
 KEY = bytes(range(32))
 FENCE = Box(Point(-6.0, -5.0, -0.5), Point(6.0, 5.0, 4.0))
@@ -31,7 +31,7 @@ PHYSICS = 1 / 240
 
 
 class TestBody:
-    """targets.sim.bodies.Car: first-order motor and servo, exact arcs between."""
+    """targets.sim.base.bodies.Car: first-order motor and servo, exact arcs between."""
 
     __test__ = False
 

@@ -13,8 +13,8 @@ import pytest
 
 from benchmarks.fixtures.quad_rig import STEP, PointMass
 from koordgen.cli import main
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
 from tests.programs import build
 from tests.runtime.transports import free_ports
 

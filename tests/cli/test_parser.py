@@ -14,7 +14,7 @@ from koordgen import __version__
 from koordgen.cli import _COMMANDS, main
 from koordgen.cli.base.parser import Parser
 from koordgen.cli.commands import COMMANDS, harnesses, parsed
-from targets.sim.schedule import DURATION, MOST_DELAY
+from targets.sim.base.schedule import DURATION, MOST_DELAY
 
 ROOT = Path(__file__).parents[2]
 EVERYTHING = {**COMMANDS, **harnesses()}

@@ -12,7 +12,7 @@ from koordgen.cli import main
 from koordgen.cli.experiment import harness
 from koordgen.fleet.scenario import read
 from koordgen.lang.source import Source, Span
-from targets.sim.schedule import read as check
+from targets.sim.base.schedule import read as check
 
 LINEFORM = Path(__file__).parents[2] / "examples/lineform"
 ROBOTS = ("ann", "bob", "cem")

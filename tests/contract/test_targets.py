@@ -98,7 +98,7 @@ def test_a_platform_is_made_from_default_settings_and_senses_what_the_manifest_o
 
 @agents_by_name
 def test_simulation_names_a_body_and_a_device_of_the_harness(target: manifest.Target) -> None:
-    from targets.sim import stage
+    from targets.sim.run import stage
 
     assert target.simulation["body"] in stage.BODIES
     assert target.simulation["device"] in stage.DEVICES
@@ -144,12 +144,12 @@ def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, t
     old = f"import runpy, sys; sys.version_info = (3, 9, 18); runpy.run_path({str(tmp_path)!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", old], capture_output=True, text=True)
     assert done.returncode == 5 and "help: install Python 3.10 or later" in done.stderr
-    (tmp_path / f"targets/{target.name}/platform.py").unlink()
+    (tmp_path / f"targets/{target.name}/platform/platform.py").unlink()
     done = subprocess.run([sys.executable, str(tmp_path), "--doctor", "--format=json"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     found = {f["name"]: f for f in json.loads(done.stdout)["findings"]}
-    assert found["files"]["found"] == f"targets/{target.name}/platform.py is missing"
-    assert f"No module named 'targets.{target.name}.platform'" in found["import"]["found"]
+    assert found["files"]["found"] == f"targets/{target.name}/platform/platform.py is missing"
+    assert f"No module named 'targets.{target.name}.platform.platform'" in found["import"]["found"]
 
 
 @agents_by_name

@@ -11,7 +11,7 @@ import pytest
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.obstacles import Obstacle
 from koordgen.fleet.world import Wall
-from targets.sim.scenario import Lidar, MarkerList, Sim, Wind, World
+from targets.sim.base.scenario import Lidar, MarkerList, Sim, Wind, World
 from tests.fleet.test_fleet import GOOD, read
 
 HEAD = GOOD[: GOOD.index("robots:")]

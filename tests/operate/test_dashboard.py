@@ -25,9 +25,9 @@ from koordgen.cli import main
 from koordgen.operate.dashboard import EVERY, WITHIN, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access, read_token
 from koordgen.operate.estop import find_fleet
-from targets.sim.view.dashboard import TICK, Dashboard, FleetServer, first_header
-from targets.sim.view.fleet_rows import FRESH
-from targets.sim.view.stream import FoxgloveServer
+from targets.sim.view.foxglove.stream import FoxgloveServer
+from targets.sim.view.web.dashboard import TICK, Dashboard, FleetServer, first_header
+from targets.sim.view.web.fleet_rows import FRESH
 from tests.operate.stand_ins import StandIns
 from tests.sim.browser import CHROMIUM, Browser
 from tests.sim.test_stream import Client

@@ -11,8 +11,8 @@ from benchmarks.fixtures import car_scenes as scenes
 from benchmarks.fixtures.car_checker import collisions
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point, distance
-from targets.car import ask as car
-from targets.car.planner import segments
+from targets.car.planning import ask as car
+from targets.car.planning.planner import segments
 from targets.planning import own_trees
 from targets.planning.ask import Asked, BadPlanner
 from targets.planning.exact import solid_distance

@@ -12,9 +12,9 @@ from benchmarks.fixtures.quad_rig import ORIGIN, STEP, Rig, settings
 from koordgen.runtime.values.points import Point, Pose
 from koordgen.runtime.vehicle.feed import Sample, encode
 from targets.planning.process import Inside
-from targets.quad.platform import Quad
-from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.station import BaseStation
+from targets.quad.platform.platform import Quad
+from targets.sim.base.bodies import BodyState, DeviceContext
+from targets.sim.sensing.station import BaseStation
 
 KEY = bytes(range(32))
 WALL = 1_750_000_000.0  # the time of day when the agent's clock shows 0

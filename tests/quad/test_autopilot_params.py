@@ -7,7 +7,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.sim.scenario import BadScenario
+from targets.sim.base.scenario import BadScenario
 from tests.quad.bench import Bench
 
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Rig, at
 from koordgen.runtime.values.points import Point, distance
-from targets.sim.mavlink_px4 import HOLD, LAND, OFFBOARD, TAKEOFF
+from targets.sim.autopilots.mavlink_px4 import HOLD, LAND, OFFBOARD, TAKEOFF
 from tests.quad.bench import ARM, INTERVAL, MODE, Bench
 from tests.quad.bench import TAKEOFF as TAKE_OFF
 

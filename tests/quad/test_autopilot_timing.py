@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import Rig, at, commands
-from targets.sim.mavlink_estimate import IMUS_SETTLE
+from targets.sim.autopilots.mavlink_estimate import IMUS_SETTLE
 from tests.quad.bench import ARM, MODE, TAKEOFF, Bench
 
 REAL = {"spool_up": 3.3}

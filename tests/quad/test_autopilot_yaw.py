@@ -7,7 +7,7 @@ import math
 import pytest
 
 from benchmarks.fixtures.quad_rig import STEP
-from targets.sim.mavlink_guided import Aim, Guidance
+from targets.sim.autopilots.mavlink_guided import Aim, Guidance
 
 
 class Turning:

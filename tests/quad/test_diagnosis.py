@@ -13,10 +13,10 @@ from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport
-from targets.quad.check import SILENCE, Heard
-from targets.quad.diagnosis import findings
-from targets.quad.platform import Quad
-from targets.quad.telemetry import Telemetry
+from targets.quad.autopilot.check import SILENCE, Heard
+from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.telemetry import Telemetry
+from targets.quad.platform.platform import Quad
 
 HARMLESS = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,

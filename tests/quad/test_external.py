@@ -16,7 +16,7 @@ from benchmarks.fixtures.quad_rig import ORIGIN
 from koordgen.runtime.values.geodesy import LocalFrame
 from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Framer
-from targets.quad.external import Ned, gps_input, odometry, vision
+from targets.quad.autopilot.external import Ned, gps_input, odometry, vision
 
 FRAME = LocalFrame(*ORIGIN)
 HERE = Ned(FRAME, *ORIGIN)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from targets.quad.ardupilot import POSITIONING
-from targets.quad.px4 import POSITIONING as OF_PX4
+from targets.quad.autopilot.ardupilot import POSITIONING
+from targets.quad.autopilot.px4 import POSITIONING as OF_PX4
 
 PAGE = (Path(__file__).parents[2] / "docs/feeds.md").read_text(encoding="utf-8")
 

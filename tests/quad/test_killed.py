@@ -14,8 +14,8 @@ import msgspec
 import pytest
 
 from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass, settings
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
 from tests.runtime.transports import free_ports
 
 ROOT = Path(__file__).parents[2]
@@ -23,7 +23,7 @@ AGENT = """
 import sys
 from pathlib import Path
 from koordgen.runtime.agent.process import main
-from targets.quad.platform import Quad
+from targets.quad.platform.platform import Quad
 from benchmarks.fixtures.lineform import PROGRAM
 sys.exit(main(PROGRAM, Quad, Path(sys.argv[1]), []))
 """

@@ -14,7 +14,7 @@ from koordgen.runtime.values.geodesy import LocalFrame
 from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.link import Link, Vehicle
-from targets.quad.origin import Origin
+from targets.quad.autopilot.origin import Origin
 
 SET, ASK = mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 EKF_WORDS = mavlink.MAVLink_statustext_message(6, b"EKF3 IMU0 initialised")

@@ -15,7 +15,7 @@ from koordgen.runtime.values.points import Grid, Point, distance
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
-from targets.quad.platform import Quad
+from targets.quad.platform.platform import Quad
 
 PATH = (Point(3.0, -2.0, 1.5), Point(3.0, 2.0, 2.5), Point(-1.0, 2.0, 1.5))
 

@@ -12,7 +12,7 @@ from benchmarks.fixtures.quad_rig import FENCE, SETPOINT, Rig, at, commands, sen
 from koordgen.runtime.values.geometry import path_distance
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.platform import Platform, Unready
-from targets.quad.motion import MARGIN
+from targets.quad.motion.motion import MARGIN
 
 
 def test_a_whole_life() -> None:

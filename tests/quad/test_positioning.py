@@ -16,9 +16,9 @@ from koordgen.runtime.config.settings import BadSettings, Safety
 from koordgen.runtime.values.points import Point, Pose, distance
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from koordgen.runtime.vehicle.safety import Guard
-from targets.quad.platform import Quad
-from targets.quad.positioning import JUMPED, PATIENCE, STALE
-from targets.quad.track import Track
+from targets.quad.autopilot.positioning import JUMPED, PATIENCE, STALE
+from targets.quad.autopilot.track import Track
+from targets.quad.platform.platform import Quad
 from tests.quad.fed import KEY, WALL, Cable, FedRig, sample
 
 NUMBERS = {

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, commands, sent, told
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.platform import Unready
-from targets.quad.px4 import LAND, OFFBOARD, PX4, custom_mode
-from targets.sim.mavlink_copter import Copter
+from targets.quad.autopilot.px4 import LAND, OFFBOARD, PX4, custom_mode
+from targets.sim.autopilots.mavlink_copter import Copter
 from tests.quad.fed import FedRig
 
 HOLD = custom_mode(4, 3)

@@ -14,9 +14,9 @@ import pytest
 
 from benchmarks.fixtures.quad_rig import ORIGIN, Rig, settings
 from targets.planning.process import Inside
-from targets.quad.platform import Quad
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
+from targets.quad.platform.platform import Quad
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
 
 
 class Line(Protocol):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point, distance
-from targets.quad.reference import Reference
-from targets.quad.trajectory import CORNER, ZERO, Limits, norm
+from targets.quad.motion.reference import Reference
+from targets.quad.motion.trajectory import CORNER, ZERO, Limits, norm
 
 BOX = Box(Point(-6, -5, 0), Point(6, 5, 4))
 LIMITS = Limits(1.0, 0.7, 1.0, BOX)

@@ -17,9 +17,9 @@ from koordgen.runtime.vehicle.platform import Unready
 from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
 from targets.planning.standstill import NO_PROGRESS
-from targets.quad.platform import Quad
-from targets.quad.simple import SimpleQuad
-from targets.sim.bodies import Vector
+from targets.quad.platform.platform import Quad
+from targets.quad.platform.simple import SimpleQuad
+from targets.sim.base.bodies import Vector
 
 WALL = Block(Point(2.0, -5.0, 0.0), Point(2.2, 2.0, 3.8))
 AROUND = (Point(1.0, -2.0, 1.5), Point(1.4, 2.6, 1.5), Point(2.8, 2.6, 1.5), Point(3.4, -2.0, 1.5))

@@ -18,13 +18,13 @@ from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.safety import clamp, inside
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link, Vehicle
-from targets.quad import setpoint as setpoints
-from targets.quad.motion import MARGIN, Motion, room
-from targets.quad.reference import Reference
-from targets.quad.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
-from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import Limits, norm
-from targets.quad.yaw import heading
+from targets.quad.autopilot.telemetry import Telemetry
+from targets.quad.motion import setpoint as setpoints
+from targets.quad.motion.motion import MARGIN, Motion, room
+from targets.quad.motion.reference import Reference
+from targets.quad.motion.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
+from targets.quad.motion.trajectory import Limits, norm
+from targets.quad.motion.yaw import heading
 
 VEHICLE = Vehicle(3, 1, 3, 2)
 FRAME = LocalFrame(*ORIGIN)

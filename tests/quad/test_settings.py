@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.fixtures.quad_rig import settings
 from koordgen.runtime.config.settings import BadSettings
-from targets.quad.platform import Body, Quad
+from targets.quad.platform.platform import Body, Quad
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import PointMass, Rig
 from koordgen.runtime.values.points import Point
-from targets.sim.bodies import BodyState, Vector
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.world import World
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.world import World
 
 MORE = 1.05  # a vehicle may be so much faster than its limit: its own controller's overshoot
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen.runtime.values.points import Point, Pose, distance
-from targets.quad.track import GUSTS, SLACK, WHILE, Track
+from targets.quad.autopilot.track import GUSTS, SLACK, WHILE, Track
 
 RATE = 0.02
 

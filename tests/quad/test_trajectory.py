@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.safety import clamp
-from targets.quad.trajectory import CLOSE, CORNER, ZERO, Limits, State, Trajectory, norm, plan
+from targets.quad.motion.trajectory import CLOSE, CORNER, ZERO, Limits, State, Trajectory, norm, plan
 
 BOX = Box(Point(-6, -5, 0), Point(6, 5, 4))
 LIMITS = Limits(1.0, 0.7, 1.0, BOX)

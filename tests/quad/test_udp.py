@@ -13,9 +13,9 @@ from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass, settings
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.transport import opened
-from targets.quad.platform import Quad
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
+from targets.quad.platform.platform import Quad
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
 from tests.terminal import terminal
 
 PACE = 4.0  # times faster than real time

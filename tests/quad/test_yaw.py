@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from benchmarks.fixtures.quad_rig import Rig, at, told
 from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.framing import Framer
-from targets.sim.bodies import Vector
+from targets.sim.base.bodies import Vector
 
 SPINNING = {"version": "4.7-dev"}  # a build that takes a missing receiver's yaw stick for one at its end
 

@@ -14,8 +14,8 @@ from koordgen.lang.check.sections.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
-from targets.sim import trace
-from targets.sim.trace import End, Header, RobotName
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import End, Header, RobotName
 from tests.emit.generated import _module
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

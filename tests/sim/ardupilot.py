@@ -188,7 +188,7 @@ class Remote:
         stand_in.fly = lambda seen: outputs(seen, *self._asked)  # type: ignore[method-assign]
 
     def state(self) -> Any:
-        from targets.sim.bodies import BodyState
+        from targets.sim.base.bodies import BodyState
 
         seen = self._stand_in.seen
         assert seen is not None
@@ -234,8 +234,8 @@ class MavlinkPort:
 
 def main(instance: int, mavlink: int, origin: tuple[float, float, float]) -> None:
     """The process: it lives by the time of the states that it gets."""
-    from targets.sim.autopilot import SimulatedAutopilot
-    from targets.sim.bodies import DeviceContext
+    from targets.sim.autopilots.autopilot import SimulatedAutopilot
+    from targets.sim.base.bodies import DeviceContext
 
     stand_in = StandIn()
     context = DeviceContext("external", {}, {"boot": 1.0}, origin, 1, b"")

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.run import Outcome
-from targets.sim.stage import Closest
-from targets.sim.trace import FORMAT, End, Header, Mark, RobotName
+from targets.sim.run.run import Outcome
+from targets.sim.run.stage import Closest
+from targets.sim.trace.schema import FORMAT, End, Header, Mark, RobotName
 
 Place = tuple[float, float, float]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from targets.sim.contacts import is_installed
-from targets.sim.scenario import PACKAGES, PYBULLET
+from targets.sim.base.scenario import PACKAGES, PYBULLET
+from targets.sim.physics.contacts import is_installed
 
 
 def _missing(engine: str) -> str:

@@ -12,8 +12,9 @@ from typing import Any
 
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
-from targets.sim import harness, stage
-from targets.sim.bodies import DeviceContext
+from targets.sim import harness
+from targets.sim.base.bodies import DeviceContext
+from targets.sim.run import stage
 from tests.emit.generated import checked
 
 

@@ -8,9 +8,9 @@ import sys
 import time
 
 from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass
-from targets.sim.autopilot import SimulatedAutopilot
-from targets.sim.bodies import DeviceContext
-from targets.sim.ports import UdpPort
+from targets.sim.autopilots.autopilot import SimulatedAutopilot
+from targets.sim.base.bodies import DeviceContext
+from targets.sim.base.ports import UdpPort
 
 
 def main(firmware: str, speed: float) -> None:

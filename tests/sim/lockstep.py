@@ -13,13 +13,13 @@ from typing import Any
 
 from koordgen.cli import main
 from koordgen.runtime.native.loader import cache_folder
-from targets.sim.bodies import BodyState
-from targets.sim.crew import Agent
+from targets.sim.base.bodies import BodyState
+from targets.sim.base.scenario import load
 from targets.sim.lockstep.run import Lockstep
-from targets.sim.progress import Progress
-from targets.sim.run import Outcome, Run
-from targets.sim.scenario import load
-from targets.sim.trace import Record
+from targets.sim.run.crew import Agent
+from targets.sim.run.progress import Progress
+from targets.sim.run.run import Outcome, Run
+from targets.sim.trace.schema import Record
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

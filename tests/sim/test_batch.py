@@ -12,8 +12,8 @@ import pytest
 
 from koordgen.runtime.program.property import UNKNOWN, Properties, judged
 from koordgen.runtime.values.points import Point
-from targets.sim import watch
-from targets.sim.batch import Batch
+from targets.sim.judging import watch
+from targets.sim.judging.batch import Batch
 from tests.sim.fake_fleet import beside
 
 HEAD = """\

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
-from targets.sim import quadrotor
-from targets.sim.bodies import BodyState, Vector
-from targets.sim.car import SimulatedCar
-from targets.sim.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCar, SimpleQuadrotor
-from targets.sim.quadrotor import Quadrotors, SimulatedQuadrotor
-from targets.sim.rigid import rotations, turn
-from targets.sim.scenario import Wind
-from targets.sim.world import GRAVITY, STEP, World
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.scenario import Wind
+from targets.sim.physics import quadrotor
+from targets.sim.physics.car import SimulatedCar
+from targets.sim.physics.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCar, SimpleQuadrotor
+from targets.sim.physics.quadrotor import Quadrotors, SimulatedQuadrotor
+from targets.sim.physics.rigid import rotations, turn
+from targets.sim.physics.world import GRAVITY, STEP, World
 from tests.sim.engines import ENGINES
 
 WALL = Block(Point(1.0, -2.0, 0.0), Point(1.2, 2.0, 3.0))
@@ -111,7 +111,7 @@ def test_left_alone_it_is_carried_off_by_the_wind() -> None:
 
 
 def test_gusts_have_the_strength_and_the_memory_that_were_asked_for() -> None:
-    from targets.sim.wind import Air
+    from targets.sim.physics.wind import Air
 
     air = Air(Wind((1.0, 0.0, 0.0), 0.8, 0.5), 3, 40)
     blown = np.array([air.step(STEP) for _ in range(4800)])

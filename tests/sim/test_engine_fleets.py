@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from targets.sim.scenario import PACKAGES
+from targets.sim.base.scenario import PACKAGES
 from tests.sim.engines import needs_both
 from tests.sim.lockstep import EXAMPLES, built, ran, summary
 

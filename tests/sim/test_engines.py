@@ -12,15 +12,15 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim import contacts, quadrotor
-from targets.sim.bodies import BodyState, Vector
-from targets.sim.car import SimulatedCar
-from targets.sim.contacts import Engine, NoEngine, NoWindow, Solid, choose
-from targets.sim.engines import make
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.scenario import MUJOCO, PYBULLET
-from targets.sim.sight import Eye
-from targets.sim.world import GRAVITY, STEP, World
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.scenario import MUJOCO, PACKAGES, PYBULLET
+from targets.sim.physics import contacts, quadrotor
+from targets.sim.physics.car import SimulatedCar
+from targets.sim.physics.contacts import Engine, NoEngine, NoWindow, Solid, choose
+from targets.sim.physics.engines import make
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.sight import Eye
+from targets.sim.physics.world import GRAVITY, STEP, World
 from tests.sim.engines import ENGINES, needs_both
 
 Bodies = Sequence[SimulatedQuadrotor | SimulatedCar]
@@ -309,7 +309,7 @@ def test_an_engine_that_is_missing_is_told_with_what_helps_here(monkeypatch: pyt
 @pytest.mark.parametrize(("made", "said"), [(PYBULLET, "no display"), (MUJOCO, "give --live, not --gui")])
 def test_a_window_that_cannot_be_shown_is_told(made: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not contacts.is_installed(made):
-        pytest.skip(f"the package {scenario.PACKAGES[made]} is not installed for this Python")
+        pytest.skip(f"the package {PACKAGES[made]} is not installed for this Python")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(NoWindow, match=said):
         World(gui=True, engine=made)

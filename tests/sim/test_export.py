@@ -21,15 +21,16 @@ from PIL import Image
 from koordgen.cli import main
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim import trace
-from targets.sim.folder import MARKER, Foreign, RunFolder
-from targets.sim.scenario import Box, Marker, MarkerList, Shared, World
-from targets.sim.trace import End, Violation
-from targets.sim.view import film, tables
-from targets.sim.view.colours import STATES
-from targets.sim.view.history import gathered
-from targets.sim.view.schemas import SCHEMAS
-from targets.sim.view.tracks import cells, tracks
+from targets.sim.base.folder import MARKER, Foreign, RunFolder
+from targets.sim.base.scenario import Box, Marker, MarkerList, Shared, World
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import End, Violation
+from targets.sim.view.data import tables
+from targets.sim.view.data.colours import STATES
+from targets.sim.view.data.history import gathered
+from targets.sim.view.data.tracks import cells, tracks
+from targets.sim.view.foxglove.schemas import SCHEMAS
+from targets.sim.view.pictures import film
 from tests.disk import small_disk
 from tests.sim.canned import header, moving, write
 
@@ -218,7 +219,7 @@ def test_a_film_is_one(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_without_ffmpeg_there_is_a_way_out(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("targets.sim.view.film.shutil.which", lambda name: None)
+    monkeypatch.setattr("targets.sim.view.pictures.film.shutil.which", lambda name: None)
     assert main(["export", str(run), "--to", "mp4"]) == 5
     said = capsys.readouterr().err
     assert "ffmpeg" in said and "--to gif" in said

@@ -13,16 +13,16 @@ from random import Random
 
 import pytest
 
-from targets.sim import json_link
-from targets.sim.bodies import DeviceContext
-from targets.sim.external import ExternalAutopilot, Socket
-from targets.sim.faults import check_robots
-from targets.sim.json_link import Servos, Vehicle
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.scenario import BadScenario, Robot, Sim, Start
-from targets.sim.schedule import read
-from targets.sim.upset import Upset
-from targets.sim.world import STEP, Motion, World
+from targets.sim.autopilots import json_link
+from targets.sim.autopilots.external import ExternalAutopilot, Socket
+from targets.sim.autopilots.json_link import Servos, Vehicle
+from targets.sim.base.bodies import DeviceContext
+from targets.sim.base.scenario import BadScenario, Robot, Sim, Start
+from targets.sim.base.schedule import read
+from targets.sim.base.upset import Upset
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.world import STEP, Motion, World
+from targets.sim.run.faults import check_robots
 from tests.sim import ardupilot
 from tests.sim.ardupilot import StandIn
 

@@ -11,9 +11,9 @@ from random import Random
 import pytest
 
 from koordgen.runtime.net.network import OVERTAKEN, Conditions
-from targets.sim.medium import Medium, medium, parted
-from targets.sim.relay import LOOPBACK, MOST_WAITING, Relay, Router
-from targets.sim.schedule import Link, Schedule
+from targets.sim.base.medium import Medium, medium, parted
+from targets.sim.base.schedule import Link, Schedule
+from targets.sim.realtime.relay import LOOPBACK, MOST_WAITING, Relay, Router
 
 NAMES = ("ann", "bob", "cem")
 
@@ -95,7 +95,7 @@ def test_who_is_in_no_group_is_alone() -> None:
 
 
 def test_a_flood_fills_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("targets.sim.relay.MOST_WAITING", 10)
+    monkeypatch.setattr("targets.sim.realtime.relay.MOST_WAITING", 10)
     made = router(delay=1.0)
     assert len(arrivals(made, 50)) == 10 < MOST_WAITING
 

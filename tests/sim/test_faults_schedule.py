@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen.runtime.net.network import Conditions
-from targets.sim.scenario import Wind
-from targets.sim.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
-from targets.sim.upset import Positioning
+from targets.sim.base.scenario import Wind
+from targets.sim.base.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
+from targets.sim.base.upset import Positioning
 
 ROBOTS = ("ann", "bob", "cem")
 

@@ -9,14 +9,14 @@ from random import Random
 import pytest
 
 from koordgen.runtime.vehicle.feed import Feed
-from targets.car import vesc
-from targets.car.settings import CarSettings
-from targets.sim.bodies import BodyState, Vector
-from targets.sim.drive import Controller
-from targets.sim.own_gps import OwnGps
-from targets.sim.slowed import Slowed
-from targets.sim.station import BaseStation
-from targets.sim.upset import Positioning, Upset
+from targets.car.base.settings import CarSettings
+from targets.car.drive import vesc
+from targets.sim.autopilots.drive import Controller
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.slowed import Slowed
+from targets.sim.base.upset import Positioning, Upset
+from targets.sim.sensing.own_gps import OwnGps
+from targets.sim.sensing.station import BaseStation
 from tests.quad.bench import Bench
 from tests.sim.test_station import KEY, Moving, context, run
 

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from targets.sim.trace import Header
-from targets.sim.view.dashboard import first_header
-from targets.sim.view.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
+from targets.sim.trace.schema import Header
+from targets.sim.view.web.dashboard import first_header
+from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
 
 FLEET = first_header([("alice", "quad"), ("bert", "car")], {"delta": 0.1})
 

@@ -7,9 +7,9 @@ import math
 import pytest
 
 from benchmarks.fixtures import quad_rig as rig
-from targets.sim.bodies import BodyState, Vector
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.world import World
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.world import World
 from tests.quad.bench import Bench
 from tests.quad.test_autopilot_timing import REAL, lifted
 from tests.quad.test_autopilot_tracking import carrot, circle, followed, mean

@@ -16,10 +16,13 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
-from targets.sim import folder, harness, run, trace
-from targets.sim.scenario import load
-from targets.sim.stage import Stage
-from targets.sim.trace import Phase, Pose, Record, Round, Violation, read
+from targets.sim import harness
+from targets.sim.base import folder
+from targets.sim.base.scenario import load
+from targets.sim.run import run
+from targets.sim.run.stage import Stage
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import Phase, Pose, Record, Round, Violation, read
 from tests.sim.fake_fleet import Telling, bundle, enlist, wait_for_a_round
 
 REPOSITORY = Path(__file__).parents[2]

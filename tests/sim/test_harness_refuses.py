@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from targets.sim import contacts, harness
+from targets.sim import harness
+from targets.sim.physics import contacts
 from tests.sim.fake_fleet import bundle, enlist
 from tests.sim.test_harness import sim, with_obstacles
 

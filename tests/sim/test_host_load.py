@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.program.runner import LATE
-from targets.sim import harness, host_load
-from targets.sim.host_load import SIMULATOR, HostLoad, waited
-from targets.sim.trace import End, Mark, Round, Violation
+from targets.sim import harness
+from targets.sim.judging import host_load
+from targets.sim.judging.host_load import SIMULATOR, HostLoad, waited
+from targets.sim.trace.schema import End, Mark, Round, Violation
 from tests.sim.fake_fleet import bundle, enlist
 
 DELTA, ZERO = 0.1, 50.0

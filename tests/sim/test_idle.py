@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES
 from koordgen.runtime.values.points import Point
-from targets.sim.idle import Idle, same
+from targets.sim.judging.idle import Idle, same
 from tests.sim.watched import Watched
 
 TASKS = """\

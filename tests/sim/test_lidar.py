@@ -11,17 +11,17 @@ from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point, Scan
 from koordgen.runtime.vehicle.scans import Scans
-from targets.car.platform import Car
+from targets.car.platform.platform import Car
 from targets.planning.process import Inside
-from targets.sim import scenario
-from targets.sim.bodies import DeviceContext, Vector
-from targets.sim.car import SimulatedCar
-from targets.sim.lidar import SimulatedLidar
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.scenario import Lidar, Robot, Scenario, Start
-from targets.sim.stage import Stage
-from targets.sim.station import SimulatedFeed
-from targets.sim.world import STEP, World
+from targets.sim.base import scenario
+from targets.sim.base.bodies import DeviceContext, Vector
+from targets.sim.base.scenario import Lidar, Robot, Scenario, Start
+from targets.sim.physics.car import SimulatedCar
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.world import STEP, World
+from targets.sim.run.stage import Stage
+from targets.sim.sensing.lidar import SimulatedLidar
+from targets.sim.sensing.station import SimulatedFeed
 from tests.car.world import OwnTime
 
 KEY = bytes(range(32))

@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 
-from targets.sim.bodies import BodyState
-from targets.sim.folder import MARKER
-from targets.sim.trace import Init, Round, Violation
-from targets.sim.view import live, serve
-from targets.sim.view.live import Live, Paced
-from targets.sim.view.serve import MOST_CLIENTS, MOST_WAITING, Hub
+from targets.sim.base.bodies import BodyState
+from targets.sim.base.folder import MARKER
+from targets.sim.trace.schema import Init, Round, Violation
+from targets.sim.view.web import live, serve
+from targets.sim.view.web.live import Live, Paced
+from targets.sim.view.web.serve import MOST_CLIENTS, MOST_WAITING, Hub
 from tests.sim.canned import header
 from tests.sim.fake_fleet import bundle
 from tests.sim.lockstep import built, digest, ran

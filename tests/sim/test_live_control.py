@@ -17,13 +17,13 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim import faults
-from targets.sim.folder import GIVEN
-from targets.sim.schedule import read
-from targets.sim.view.control import FOLLOWING, REAL_TIME, Control, Given
-from targets.sim.view.guard import HEADER, MOST_BYTES
-from targets.sim.view.live import Paced
-from targets.sim.view.serve import Hub, Server
+from targets.sim.base.folder import GIVEN
+from targets.sim.base.schedule import read
+from targets.sim.run import faults
+from targets.sim.view.web.control import FOLLOWING, REAL_TIME, Control, Given
+from targets.sim.view.web.guard import HEADER, MOST_BYTES
+from targets.sim.view.web.live import Paced
+from targets.sim.view.web.serve import Hub, Server
 from tests.sim.browser import CHROMIUM, Browser
 from tests.sim.canned import header
 from tests.sim.lockstep import built, digest, ran, summary

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
-from targets.sim import harness, run, trace
+from targets.sim import harness
+from targets.sim.run import run
+from targets.sim.trace import schema as trace
 from tests.sim.fake_fleet import wait_for_a_round
 from tests.sim.lockstep import Plan, built, played, summary
 

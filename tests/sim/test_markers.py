@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.scenario import Marker, MarkerList, Shared, World
-from targets.sim.trace import Header
-from targets.sim.view.markers import DONE, TAKEN, TO_DO, Markers
+from targets.sim.base.scenario import Marker, MarkerList, Shared, World
+from targets.sim.trace.schema import Header
+from targets.sim.view.data.markers import DONE, TAKEN, TO_DO, Markers
 from tests.sim.canned import header
 
 FIRST, SECOND = [[1.0, 2.0, 0.0], 7], [[3.0, 2.0, 1.0], 8]

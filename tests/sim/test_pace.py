@@ -9,11 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from targets.sim import realtime
-from targets.sim.pace import BURST, MOST_BEHIND, Pace
-from targets.sim.run import Run
-from targets.sim.scenario import load
-from targets.sim.world import STEP
+from targets.sim.base.scenario import load
+from targets.sim.physics.world import STEP
+from targets.sim.realtime import realtime
+from targets.sim.realtime.pace import BURST, MOST_BEHIND, Pace
+from targets.sim.run.run import Run
 from tests.sim.fake_fleet import bundle, enlist
 from tests.sim.test_harness import sim, summary
 

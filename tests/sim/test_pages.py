@@ -10,8 +10,9 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.trace import Cause, End, Mark, Verdict, Violation, read
-from targets.sim.view import report, show
+from targets.sim.trace.schema import Cause, End, Mark, Verdict, Violation, read
+from targets.sim.view.data import show
+from targets.sim.view.web import report
 from tests.sim.browser import CHROMIUM, WEBGL, Browser
 from tests.sim.canned import header, moving, write
 from tests.sim.test_export import ENDS, HEAD, STARTS, rounds

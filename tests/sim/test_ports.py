@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from targets.sim import ports
-from targets.sim.ports import BLOCK, Numbers
+from targets.sim.base import ports
+from targets.sim.base.ports import BLOCK, Numbers
 
 FIRST = 9_984  # where no run that happens to go on takes its numbers
 

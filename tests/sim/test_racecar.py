@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import pytest
 
 from koordgen.runtime.values.points import Point
-from targets.car.bicycle import State
-from targets.car.fence import beyond
-from targets.car.mpc import Command
-from targets.sim.bodies import BodyState
-from targets.sim.car import Running, SimulatedCar
-from targets.sim.tyres import Chassis, impulses
-from targets.sim.world import GRAVITY, STEP, World
+from targets.car.base.bicycle import State
+from targets.car.control.fence import beyond
+from targets.car.control.mpc import Command
+from targets.sim.base.bodies import BodyState
+from targets.sim.physics.car import Running, SimulatedCar
+from targets.sim.physics.tyres import Chassis, impulses
+from targets.sim.physics.world import GRAVITY, STEP, World
 from tests.car.world import FENCE, TestBody
 from tests.car.world import World as CarWorld
 

@@ -17,11 +17,13 @@ from matplotlib import pyplot as plt
 
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim import summary, trace
-from targets.sim.trace import End, Violation
-from targets.sim.view import plots, report
-from targets.sim.view.history import gathered
-from targets.sim.view.tracks import Tracks, tracks
+from targets.sim.judging import summary
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import End, Violation
+from targets.sim.view.data.history import gathered
+from targets.sim.view.data.tracks import Tracks, tracks
+from targets.sim.view.pictures import plots
+from targets.sim.view.web import report
 from tests.sim.canned import header, moving, outcome, write
 
 NAMES = ["alice", "bert", "<script>cleo"]

@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from targets.sim import trace
-from targets.sim.scenario import Shared
-from targets.sim.trace import End, Init, Metrics, Pose, Record, Round, Verdict, Violation
-from targets.sim.view import report
-from targets.sim.view.history import MOST_MAPS, History, gathered
-from targets.sim.view.rows import EVENT, FAULT, SKIPPED, Rows
+from targets.sim.base.scenario import Shared
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import End, Init, Metrics, Pose, Record, Round, Verdict, Violation
+from targets.sim.view.data.history import MOST_MAPS, History, gathered
+from targets.sim.view.data.rows import EVENT, FAULT, SKIPPED, Rows
+from targets.sim.view.web import report
 from tests.sim.canned import header, write
 
 HEAD = msgspec.structs.replace(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from targets.sim.scatter import scattered
-from targets.sim.scenario import BadScenario, Box, Origin, Robot, Scenario, Start
+from targets.sim.base.scenario import BadScenario, Box, Origin, Robot, Scenario, Start
+from targets.sim.run.scatter import scattered
 
 
 def fleet(noise: float, wide: float = 5.0) -> Scenario:

@@ -12,10 +12,10 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.runtime.trace import writer as runtime
-from targets.sim import trace
-from targets.sim.beliefs import Beliefs
-from targets.sim.scenario import Shared, load
-from targets.sim.trace import End, Violation
+from targets.sim.base.scenario import Shared, load
+from targets.sim.trace import schema as trace
+from targets.sim.trace.beliefs import Beliefs
+from targets.sim.trace.schema import End, Violation
 from tests.sim.canned import header, moving, write
 from tests.sim.lockstep import Plan, built, played
 

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from benchmarks.fixtures.rays import to_obstacle, to_segment
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.bodies import Vector
-from targets.sim.bullet import Bullet
-from targets.sim.car import HEIGHT, SimulatedCar
-from targets.sim.quadrotor import RADIUS, SimulatedQuadrotor
-from targets.sim.scenario import PYBULLET
-from targets.sim.sight import Eye
-from targets.sim.world import World
+from targets.sim.base.bodies import Vector
+from targets.sim.base.scenario import PYBULLET
+from targets.sim.physics.bullet import Bullet
+from targets.sim.physics.car import HEIGHT, SimulatedCar
+from targets.sim.physics.quadrotor import RADIUS, SimulatedQuadrotor
+from targets.sim.physics.sight import Eye
+from targets.sim.physics.world import World
 from tests.sim.engines import needs_pybullet
 
 # Nothing is ever exactly where a lidar is: these are whole millimetres, lidars stand between two.
@@ -52,7 +52,7 @@ def empty() -> Iterator[World]:
 def test_ranges_are_those_of_plane_geometry(
     empty: World, obstacles: list[Obstacle], places: list[Vector], rays: int, reach: float
 ) -> None:
-    from targets.sim.sight import Scenery
+    from targets.sim.physics.sight import Scenery
 
     empty._scenery = Scenery()
     for obstacle in obstacles:

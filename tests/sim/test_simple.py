@@ -16,14 +16,14 @@ import pytest
 from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Platform, Unready
-from targets.car.simple import SimpleCar as CarPlatform
+from targets.car.platform.simple import SimpleCar as CarPlatform
 from targets.planning.process import Inside
-from targets.quad.simple import SimpleQuad
-from targets.sim.bodies import Asked, DeviceContext
-from targets.sim.first_order import SimpleCar, SimpleQuadrotor
-from targets.sim.simple import DirectCar, DirectQuad
-from targets.sim.upset import Positioning, Upset
-from targets.sim.world import STEP, World
+from targets.quad.platform.simple import SimpleQuad
+from targets.sim.autopilots.simple import DirectCar, DirectQuad
+from targets.sim.base.bodies import Asked, DeviceContext
+from targets.sim.base.upset import Positioning, Upset
+from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.world import STEP, World
 from tests.sim.lockstep import built, digest, ran, summary
 
 ORIGIN = (47.0, 8.0, 400.0)

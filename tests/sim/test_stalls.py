@@ -12,7 +12,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.runtime.values.points import Point
-from targets.sim.view import report
+from targets.sim.view.web import report
 from tests.sim.lockstep import ran, summary
 from tests.sim.test_simple import Rig
 

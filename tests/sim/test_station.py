@@ -7,8 +7,8 @@ import math
 import pytest
 
 from koordgen.runtime.vehicle.feed import Feed
-from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.station import BaseStation, SimulatedFeed, fed
+from targets.sim.base.bodies import BodyState, DeviceContext
+from targets.sim.sensing.station import BaseStation, SimulatedFeed, fed
 
 KEY = bytes(range(32))
 

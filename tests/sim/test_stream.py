@@ -15,10 +15,10 @@ import pytest
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim import harness
-from targets.sim.trace import Init, Log, Moved, Round
-from targets.sim.view import stream
-from targets.sim.view.messages import Messages
-from targets.sim.view.stream import FoxgloveServer, Streamed
+from targets.sim.trace.schema import Init, Log, Moved, Round
+from targets.sim.view.foxglove import stream
+from targets.sim.view.foxglove.messages import Messages
+from targets.sim.view.foxglove.stream import FoxgloveServer, Streamed
 from tests.sim.canned import header
 from tests.sim.fake_fleet import bundle
 from tests.sim.test_live import STATES, running

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from targets.sim import summary, trace
+from targets.sim.judging import summary
+from targets.sim.trace import schema as trace
 from tests.sim.canned import Place, header, moving, outcome, write
 
 JUDGE = Path(__file__).parents[2] / "examples" / "lineform" / "verdict.py"
@@ -65,7 +66,7 @@ def test_a_robot_that_started_on_the_line_shows_nothing(tmp_path: Path) -> None:
 
 
 def test_too_close_by_the_harness_or_by_the_trace(tmp_path: Path) -> None:
-    from targets.sim.stage import Closest
+    from targets.sim.run.stage import Closest
 
     done = judged(tmp_path, STARTS, ENDS, closest=Closest(0.29, 3.0, (1, 2)))
     assert done.returncode == 3 and "too close" in done.stdout

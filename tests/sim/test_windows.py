@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.values.points import Point
-from targets.sim.windows import FILE
+from targets.sim.judging.windows import FILE
 from tests.sim.watched import Watched
 
 FORTH = """\

@@ -9,12 +9,12 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
-from targets.sim import quadrotor
-from targets.sim.bodies import Vector
-from targets.sim.car import SimulatedCar
-from targets.sim.contacts import Touched
-from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.world import GRAVITY, World
+from targets.sim.base.bodies import Vector
+from targets.sim.physics import quadrotor
+from targets.sim.physics.car import SimulatedCar
+from targets.sim.physics.contacts import Touched
+from targets.sim.physics.quadrotor import SimulatedQuadrotor
+from targets.sim.physics.world import GRAVITY, World
 from tests.sim.engines import ENGINES
 
 

@@ -11,11 +11,12 @@ from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES, Fleet
 from koordgen.runtime.net.network import Conditions
-from targets.sim import trace, watch
-from targets.sim.bodies import BodyState
-from targets.sim.run import Companion
-from targets.sim.trace import Mark, Phase, Record, Round, Verdict, Violation
-from targets.sim.windows import Windows
+from targets.sim.base.bodies import BodyState
+from targets.sim.judging import watch
+from targets.sim.judging.windows import Windows
+from targets.sim.run.run import Companion
+from targets.sim.trace import schema as trace
+from targets.sim.trace.schema import Mark, Phase, Record, Round, Verdict, Violation
 from tests.sim.fake_fleet import beside
 
 STEP = 1 / 240

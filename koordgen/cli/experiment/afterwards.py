@@ -12,9 +12,9 @@ from koordgen.lang import resources
 def afterwards(options: Namespace) -> int:
     """The harness that left the run knows how."""
     sys.path.insert(0, str(resources.targets().parent))
-    from targets.sim.trace import BadTrace
+    from targets.sim.trace.schema import BadTrace
     from targets.sim.view import commands
-    from targets.sim.view.failures import CannotMake
+    from targets.sim.view.data.failures import CannotMake
 
     try:
         if options.command == "report":

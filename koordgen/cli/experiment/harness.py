@@ -133,8 +133,8 @@ def read_scenario(path: str, bundle: Mapping[str, bytes], duration: float | None
     from koordgen.lang.source import Source, Span
 
     sys.path.append(str(targets().parent))
-    from targets.sim.schedule import DURATION
-    from targets.sim.schedule import read as check
+    from targets.sim.base.schedule import DURATION
+    from targets.sim.base.schedule import read as check
 
     robots = [robot["name"] for robot in json.loads(bundle["scenario.json"])["robots"]]
     source = read_source(path)

@@ -19,8 +19,8 @@ from koordgen.operate.estop import PATIENCE, CannotStop, Fleet, find_fleet, find
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
-    from targets.sim.trace import Header
-    from targets.sim.view.stream import FoxgloveServer
+    from targets.sim.trace.schema import Header
+    from targets.sim.view.foxglove.stream import FoxgloveServer
 
 
 def dashboard(options: Namespace) -> int:
@@ -35,7 +35,7 @@ def dashboard(options: Namespace) -> int:
         raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
     facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
-    from targets.sim.view.dashboard import Dashboard, FleetServer, first_header
+    from targets.sim.view.web.dashboard import Dashboard, FleetServer, first_header
 
     targets = facts.plain.get("targets", {})
     names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
@@ -69,7 +69,7 @@ def dashboard(options: Namespace) -> int:
 
 def _stream(header: Header, port: int) -> FoxgloveServer:
     """Return a server for Foxglove at a port of this computer; 0: any that is free."""
-    from targets.sim.view.stream import FoxgloveServer
+    from targets.sim.view.foxglove.stream import FoxgloveServer
 
     try:
         server = FoxgloveServer(header, port)

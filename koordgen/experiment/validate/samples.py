@@ -1,4 +1,4 @@
-"""What a run's `windows.jsonl` (targets/sim/windows.py) says of it: a sample."""
+"""What a run's `windows.jsonl` (targets/sim/judging/windows.py) says of it: a sample."""
 
 from __future__ import annotations
 

@@ -15,14 +15,14 @@ from koordgen.runtime.program.program import Event, Port, Program, Slots, Stoppe
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
-from targets.sim.bodies import BodyState
-from targets.sim.crew import Agent
+from targets.sim.base.bodies import BodyState
+from targets.sim.base.scenario import Robot
 from targets.sim.follow.plan import Plan, Values
 from targets.sim.follow.plan import Round as Planned
-from targets.sim.run import Outcome, Run
-from targets.sim.scenario import Robot
-from targets.sim.trace import Cause, Violation
-from targets.sim.world import STEP
+from targets.sim.physics.world import STEP
+from targets.sim.run.crew import Agent
+from targets.sim.run.run import Outcome, Run
+from targets.sim.trace.schema import Cause, Violation
 
 IDLE = "no event enabled"
 EARLY = 0.01  # of a round: by how much a robot's clock may be ahead of where its round begins

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.scenario import BadScenario
+from targets.sim.base.scenario import BadScenario
 
 Values = dict[str, Any]  # by name, in JSON
 Calls = dict[int, list[tuple[str, list[Any], Any]]]  # by pid: port, arguments, answer

@@ -27,15 +27,15 @@ from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
-from targets.sim.bodies import Embodied
-from targets.sim.crew import Agent
+from targets.sim.base.bodies import Embodied
+from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.lockstep.keep import MemoryStore
 from targets.sim.lockstep.own import Own
 from targets.sim.lockstep.shares import Shares
 from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
-from targets.sim.scenario import Robot, Scenario
-from targets.sim.stage import Actor
-from targets.sim.trace import Record, decoded
+from targets.sim.run.crew import Agent
+from targets.sim.run.stage import Actor
+from targets.sim.trace.schema import Record, decoded
 
 KILLED = -9
 HEADER = b'{"kind":"header"'

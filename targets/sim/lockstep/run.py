@@ -15,12 +15,12 @@ from pathlib import Path
 
 from koordgen.runtime.net.network import MemoryNetwork
 from koordgen.runtime.program.runner import Interrupting
-from targets.sim.crew import Step
+from targets.sim.base.medium import Medium
+from targets.sim.base.scenario import BadScenario, Robot, Scenario
 from targets.sim.lockstep.resident import Resident, Shared
-from targets.sim.medium import Medium
-from targets.sim.scenario import BadScenario, Robot, Scenario
-from targets.sim.stage import Stage
-from targets.sim.world import STEP
+from targets.sim.physics.world import STEP
+from targets.sim.run.crew import Step
+from targets.sim.run.stage import Stage
 
 LONGEST_EVENT = 10.0  # seconds of the host after which an event that does not end is ended
 ITERATIONS = 400  # of a planner's search

@@ -18,7 +18,7 @@ ROOM = 4096  # bytes that a serial line holds
 
 
 class Line:
-    """A device's port and what is under way on it: `targets.sim.ports.Port`."""
+    """A device's port and what is under way on it: `targets.sim.base.ports.Port`."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -79,7 +79,7 @@ class LineEnd:
 
 
 class Cable:
-    """A serial line: `targets.sim.ports.Terminal`, and the agent's `koordgen.runtime.vehicle.inside.Stream` by
+    """A serial line: `targets.sim.base.ports.Terminal`, and the agent's `koordgen.runtime.vehicle.inside.Stream` by
     `opened`."""
 
     def __init__(self, device: str) -> None:
@@ -145,8 +145,8 @@ class CableEnd:
 
 
 class Hub:
-    """All wires of a run: `targets.sim.ports.Wiring`, and what agents open. Numbers count from 1, in the order in which
-    devices are made."""
+    """All wires of a run: `targets.sim.base.ports.Wiring`, and what agents open. Numbers count from 1, in the order in
+    which devices are made."""
 
     def __init__(self) -> None:
         self._lines: dict[int, Line] = {}

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from targets.sim import folder
+from targets.sim.base import folder
 
 if TYPE_CHECKING:
-    from targets.sim.trace import Header, Record
+    from targets.sim.trace.schema import Header, Record
 
 TRACE = "trace.jsonl"
 FORMATS = ("mcap", "csv", "png", "gif", "mp4")
@@ -20,7 +20,7 @@ FORMATS = ("mcap", "csv", "png", "gif", "mp4")
 def report(given: str, out: str | None) -> Path:
     """Write the report of a run's folder or merged trace; beside the trace unless `out` says where. Raises BadTrace,
     OSError."""
-    from targets.sim.view import report
+    from targets.sim.view.web import report
 
     trace = _found(given)
     path = Path(out) if out else trace.parent / "report.html"
@@ -32,7 +32,7 @@ def report(given: str, out: str | None) -> Path:
 def export(given: str, to: str, out: str | None) -> Path:
     """Write a run's folder or merged trace as another format, one of FORMATS: tables and pictures into a folder, all
     else into a file; beside the trace unless `out` says where. Raises BadTrace, CannotMake, OSError."""
-    from targets.sim.trace import read
+    from targets.sim.trace.schema import read
 
     trace = _found(given)
     path = Path(out) if out else trace.with_name({"csv": "csv", "png": "plots"}.get(to, f"{trace.stem}.{to}"))
@@ -45,8 +45,8 @@ def export(given: str, to: str, out: str | None) -> Path:
 def show(given: str, at: float | None, form: str) -> str:
     """Return what each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`;
     without a time at the first violation, else at the mission's end. Raises BadTrace."""
-    from targets.sim.trace import read
-    from targets.sim.view import show
+    from targets.sim.trace.schema import read
+    from targets.sim.view.data import show
 
     header, records = read(_found(given))
     time, beliefs = show.at(header, records, at)
@@ -56,17 +56,17 @@ def show(given: str, at: float | None, form: str) -> str:
 def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> None:
     match to:
         case "csv":
-            from targets.sim.view import tables
+            from targets.sim.view.data import tables
 
             tables.write(path, header, records)
         case "mcap":
-            from targets.sim.view import recording
+            from targets.sim.view.foxglove import recording
 
             recording.write(path, header, records)
         case "png" | "gif" | "mp4":
-            from targets.sim.view import film, plots
-            from targets.sim.view.history import gathered
-            from targets.sim.view.tracks import tracks
+            from targets.sim.view.data.history import gathered
+            from targets.sim.view.data.tracks import tracks
+            from targets.sim.view.pictures import film, plots
 
             found = tracks(header, gathered(header, records))
             if to == "png":

@@ -14,7 +14,7 @@ if __name__ == "__main__":
         from koordgen.runtime.agent.process import main
         from program import PROGRAM
         from properties import PROPERTIES
-        from targets.quad.platform import Quad as Body
+        from targets.quad.platform.platform import Quad as Body
     except ImportError as missing:
         from koordgen.runtime.ops.findings import tell_unloadable
 

@@ -14,7 +14,7 @@ if __name__ == "__main__":
         from koordgen.runtime.agent.process import main
         from program import PROGRAM
         from properties import PROPERTIES
-        from targets.car.platform import Car as Body
+        from targets.car.platform.platform import Car as Body
     except ImportError as missing:
         from koordgen.runtime.ops.findings import tell_unloadable
 

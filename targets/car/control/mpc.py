@@ -1,0 +1,137 @@
+"""Model-predictive control of the kinematic bicycle: one small optimisation, solved again at every control step.
+
+Horizon 20 steps of 50 ms; what is solved says `solver.problem`, who solves it is chosen here. Speed and steering are
+what was commanded, not measured: the drive and the servo follow setpoints. Whatever a solver answers, the commands are
+made from its inputs by integrating them within the limits, so that none is out of reach of the one before.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from koordgen.runtime.native.loader import NotCompiled
+from targets.car.base.bicycle import State
+from targets.car.control.solver import compiled
+from targets.car.control.solver.fallback import CasadiSolver
+from targets.car.control.solver.model import INPUTS, STEP, STEPS
+from targets.car.control.solver.problem import Limits, Solver
+
+__all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "Limits", "Mpc"]
+
+BLIND_STEPS = 5  # so long the plan before stands in when there is no new one
+LATE = STEP  # seconds: a plan that took longer is one for a state that has passed
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What to drive in the next step: speed in m/s (negative is reverse), steering in radians (positive to the left).
+    Always finite and within the limits."""
+
+    speed: float
+    steering: float
+
+
+def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
+    """The solver as C, or CasADi's and why: a line for the log. May compile: seconds, at the first start on a robot."""
+    try:
+        return compiled.load(limits, cache), ""
+    except NotCompiled as error:
+        return CasadiSolver(limits), f"the controller runs in CasADi, which takes several times longer: {error}"
+
+
+class Mpc:
+    """Steers along references. `failures` counts control steps without a usable plan since the last that had one,
+    `trouble` says why the last had none; `note`, if anything, why the solver is the slower one. `solver` and `clock`
+    (seconds, it times the solver) are for tests."""
+
+    def __init__(
+        self, limits: Limits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._limits = limits
+        self._solve, self.note = (solver, "") if solver is not None else choose(limits)
+        self._clock = clock
+        self._inputs = [0.0] * INPUTS * STEPS
+        self._plan: list[Command] = []
+        self._last = Command(0.0, 0.0)
+        self.failures = 0
+        self.trouble = ""
+
+    def warm_up(self) -> None:
+        """Solve once for nothing: a first solve allocates, which a control step has no time for."""
+        self.follow(State(0.0, 0.0, 0.0), [State(0.0, 0.0, 0.0)] * STEPS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan: the car has been stopped by other means."""
+        self._inputs = [0.0] * INPUTS * STEPS
+        self._plan = []
+        self._last = Command(0.0, self._last.steering)
+        self.failures = 0
+
+    def follow(self, state: State, reference: Sequence[State]) -> Command:
+        """The command of the next step towards `reference`, the states wished for after 1 to 20 steps, whose yaw runs
+        on from the car's without jumps. `state.speed` and `state.steering` are what was commanded last.
+
+        Without a new plan in time, the plan before, shifted, stands in for a few steps; then the car brakes.
+        """
+        before = self._last
+        if math.isfinite(state.speed) and math.isfinite(state.steering):
+            before = Command(_clamp(state.speed, self._limits.speed), _clamp(state.steering, self._limits.steering))
+        began = self._clock()
+        inputs, trouble = self._attempt(state, before, reference)
+        spent = self._clock() - began
+        if inputs is not None and spent > LATE:
+            inputs, trouble = None, f"the solver took {1e3 * spent:.0f} ms, {1e3 * LATE:.0f} ms are allowed"
+        self.trouble = trouble
+        if inputs is None:
+            self.failures += 1
+            self._plan = self._plan[1:] if self.failures <= BLIND_STEPS else []
+            self._inputs = _shifted(self._inputs)
+        else:
+            self.failures = 0
+            self._plan, self._inputs = self._commands(before, inputs), inputs
+        self._last = self._within_reach(before, self._plan[0] if self._plan else Command(0.0, before.steering))
+        return self._last
+
+    def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
+        """The inputs of a new plan, or why there is none."""
+        if not state.finite():
+            return None, "the car's state is no number"
+        if len(reference) != STEPS or not all(r.finite() for r in reference):
+            return None, "the path holds what is no number"
+        present = (state.x, state.y, state.yaw, before.speed, before.steering)
+        wished = [v for r in reference for v in (r.x, r.y, r.yaw, r.speed, r.steering)]
+        inputs = self._solve(present, wished, _shifted(self._inputs))
+        if inputs is None or not all(map(math.isfinite, inputs)):
+            return None, "the solver finds no way to follow the path"
+        return inputs, ""
+
+    def _commands(self, before: Command, inputs: list[float]) -> list[Command]:
+        """The commands that inputs come to; each is within reach of the one before."""
+        plan = []
+        for k in range(STEPS):
+            wished = Command(before.speed + STEP * inputs[2 * k], before.steering + STEP * inputs[2 * k + 1])
+            before = self._within_reach(before, wished)
+            plan.append(before)
+        return plan
+
+    def _within_reach(self, before: Command, wished: Command) -> Command:
+        """The command next to the wished one that the limits allow after `before`."""
+        limits = self._limits
+        faster, further = limits.acceleration * STEP, limits.steering_rate * STEP
+        return Command(
+            _clamp(before.speed + _clamp(wished.speed - before.speed, faster), limits.speed),
+            _clamp(before.steering + _clamp(wished.steering - before.steering, further), limits.steering),
+        )
+
+
+def _shifted(inputs: list[float]) -> list[float]:
+    return [*inputs[INPUTS:], *[0.0] * INPUTS]
+
+
+def _clamp(value: float, most: float) -> float:
+    return max(-most, min(most, value))

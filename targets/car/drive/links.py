@@ -1,0 +1,154 @@
+"""The car's links, never blocking: the drive's serial device, the position feed's UDP port, the watchdog's process."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import termios
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.feed import listen_for_poses
+from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.scans import listen_for_scans
+from targets.car.base.settings import FROM_DRIVE
+from targets.car.drive.watched import Watch, WatchdogProcess
+
+if TYPE_CHECKING:
+    from targets.car.drive.rover import Route
+
+BAUD = 115_200
+
+
+class ByteLink(Protocol):
+    """A stream of bytes both ways. `read` gives what is there, `write` takes what fits and says how many bytes it
+    took. Both raise Unready when the device is gone. `fileno` is for the watchdog, which holds it as well."""
+
+    def read(self) -> bytes: ...
+
+    def write(self, data: bytes) -> int: ...
+
+    def fileno(self) -> int: ...
+
+    def close(self) -> None: ...
+
+
+class Links(Protocol):
+    """Opens links; raises Unready, saying what to do."""
+
+    def serial(self, device: str) -> ByteLink: ...
+
+    def mavlink(self, url: str) -> Route: ...
+
+    def position(self, setting: str) -> DatagramLink: ...
+
+    def scans(self, setting: str) -> DatagramLink: ...
+
+    def watchdog(self) -> Watch: ...
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass. Used by `diagnose` only, the one call that may."""
+        ...
+
+    def remember(self, lag: float) -> None:
+        """Keep the motor's lag (s) for the doctor, who moves nothing. Raises nothing."""
+        ...
+
+    def remembered(self) -> float | None:
+        """The lag that was kept last, here or by an earlier run; None: none was."""
+        ...
+
+
+class SerialLink:
+    """A serial device through pyserial; a pseudo-terminal works, too."""
+
+    def __init__(self, device: str) -> None:
+        import serial
+
+        self._device = device
+        self._gone: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
+        try:
+            self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
+        except (*self._gone, ValueError) as error:
+            number = getattr(error, "errno", None)
+            # What flock says of a device that is locked helps nobody.
+            reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
+            hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
+            raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
+
+    def read(self) -> bytes:
+        try:
+            return bytes(self._port.read(4096))
+        except self._gone as error:
+            raise self._lost(error) from None
+
+    def write(self, data: bytes) -> int:
+        # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
+        try:
+            return os.write(self._port.fileno(), data)
+        except BlockingIOError:
+            return 0
+        except self._gone as error:
+            raise self._lost(error) from None
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
+    def _lost(self, error: Exception) -> Unready:
+        return Unready(f"the motor controller at {self._device} is gone: {error}", "check its cable and supply")
+
+    def close(self) -> None:
+        with suppress(*self._gone):
+            self._port.close()
+
+
+class Nowhere:
+    """A position feed on which nothing comes: the drive knows where it is."""
+
+    def receive(self) -> bytes | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class RealLinks:
+    """Links to real devices. `notes` is the file in which the motor's lag is kept; None: nothing is kept."""
+
+    def __init__(self, notes: Path | None = None) -> None:
+        self._notes = notes
+
+    def serial(self, device: str) -> ByteLink:
+        return SerialLink(device)
+
+    def mavlink(self, url: str) -> Route:
+        from targets.mavlink.transport import opened
+
+        return opened(url)
+
+    def position(self, setting: str) -> DatagramLink:
+        return Nowhere() if setting == FROM_DRIVE else listen_for_poses("position", setting)
+
+    def scans(self, setting: str) -> DatagramLink:
+        return listen_for_scans(setting)
+
+    def watchdog(self) -> Watch:
+        return WatchdogProcess()
+
+    def wait(self, seconds: float) -> None:
+        select.select([], [], [], seconds)
+
+    def remember(self, lag: float) -> None:
+        if self._notes is not None:
+            with suppress(OSError):
+                self._notes.parent.mkdir(exist_ok=True)
+                self._notes.write_text(f"{lag:.3f}\n", encoding="ascii")
+
+    def remembered(self) -> float | None:
+        try:
+            return float(self._notes.read_text(encoding="ascii")) if self._notes is not None else None
+        except (OSError, ValueError):
+            return None

@@ -1,0 +1,123 @@
+"""The parameters of an ArduPilot rover that matter when it is driven by overridden sticks in MANUAL.
+
+WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers are not among them: MANUAL uses none.
+Two things stop a rover whose agent's computer has died: RC_OVERRIDE_TIME where a receiver is connected (the sticks are
+the receiver's again), and the failsafe for a lost ground station. Without a receiver an override that has ended leaves
+the sticks where they were (RC_Channels::read_input updates no channel), so the failsafe alone stops it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from koordgen.runtime.vehicle.platform import Finding
+from targets.car.base.settings import CarSettings
+from targets.car.drive.throttle import DEAD_ZONE, NEUTRAL, SPAN
+from targets.mavlink.link import GROUND_STATION
+from targets.mavlink.parameters import Reading, Wanted
+
+STEERING, THROTTLE = 1, 3  # the channels that are overridden
+IGNORE_OVERRIDES = 2  # bit of RC_OPTIONS
+HOLD = 2  # FS_ACTION
+SLOWEST = 2.0  # of max_acceleration, that the throttle's slew rate must allow
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A parameter and the values that are right, as a test and in words. `optional`: older versions have no such
+    parameter, and do as they should."""
+
+    name: str
+    right: Callable[[float], bool]
+    expected: str
+    why: str
+    vital: bool = False
+    older: tuple[str, ...] = ()
+    optional: bool = False
+
+    @property
+    def wanted(self) -> Wanted:
+        """Return the parameters to ask for."""
+        return Wanted(self.name, self.older, (), self.why, self.vital)
+
+    def judged(self, reading: Reading) -> Finding | None:
+        """Return a description of what is wrong with the value; None if it is right."""
+        if reading.found is None and self.optional:
+            return None
+        if reading.found is not None and self.right(reading.found):
+            return None
+        found = "does not answer" if reading.found is None else f"{reading.found:g}"
+        why = f"{self.why}; set it by a ground station"
+        return Finding(reading.name, "fail" if self.vital else "warn", found, self.expected, why)
+
+
+def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
+    """The rules for a car with these settings; `receiver`: whether the rover hears a remote control, None: unknown."""
+    return (
+        _one("MAV_GCS_SYSID", GROUND_STATION, "else it ignores all that the agent sends", True, ("SYSID_MYGCS",)),
+        Rule(
+            "RC_OPTIONS", lambda v: not int(v) & IGNORE_OVERRIDES, f"a number without the bit {IGNORE_OVERRIDES}",
+            "with that bit it ignores overrides, and the car does not drive", vital=True,
+        ),
+        _one("RCMAP_ROLL", STEERING, "else the agent's steering goes to another channel", True),
+        _one("RCMAP_THROTTLE", THROTTLE, "else the agent's throttle goes to another channel", True),
+        _one("FS_GCS_ENABLE", 1, "else a rover without a receiver drives on when the agent's computer dies", True),
+        _one("FS_ACTION", HOLD, "HOLD is what stops it when the agent's computer dies", True),
+        _within("FS_GCS_TIMEOUT", 1.0, 2.0, "seconds from the agent's last heartbeat to HOLD", optional=True),
+        _within("RC_OVERRIDE_TIME", 0.2, 1.0, "seconds for which it drives on with the agent's last command"),
+        *_failsafe(receiver),
+        *(rule for channel in (STEERING, THROTTLE) for rule in _channel(channel)),
+        _slew_rate(settings),
+        _one("MANUAL_OPTIONS", 0, "else the wheels turn less at speed than the agent commands", optional=True),
+        _one("MANUAL_STR_EXPO", 0, "else the wheels do not turn as far as the agent commands", optional=True),
+        Rule(
+            "PILOT_STEER_TYPE", lambda v: v in (0, 2), "0 or 2",
+            "else steering is mixed with the throttle, or inverted in reverse",
+        ),
+    )  # fmt: skip
+
+
+def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
+    """Return one line for each parameter that differs, the vital ones first; `readings` has a value for every rule."""
+    by_name = {reading.wanted.name: reading for reading in readings}
+    checked = [rule for rule in rules(settings, receiver) if rule.name in by_name]
+    wrong = [found for rule in checked if (found := rule.judged(by_name[rule.name]))]
+    if not wrong:
+        return [Finding("parameters", "ok", f"all {len(checked)} that matter are right")]
+    return sorted(wrong, key=lambda found: found.state != "fail")
+
+
+def _one(
+    name: str, value: float, why: str, vital: bool = False, older: tuple[str, ...] = (), optional: bool = False
+) -> Rule:
+    return Rule(name, lambda found: found == value, f"{value:g}", why, vital, older, optional)
+
+
+def _within(name: str, low: float, high: float, why: str, optional: bool = False) -> Rule:
+    close = 1e-6  # a parameter of ArduPilot has 24 bits
+    return Rule(name, lambda v: low - close <= v <= high + close, f"{low:g} to {high:g}", why, optional=optional)
+
+
+def _failsafe(receiver: bool | None) -> tuple[Rule, ...]:
+    if receiver is None:
+        return ()
+    if receiver:
+        return (Rule("FS_THR_ENABLE", lambda v: v > 0, "1", "else nothing happens when the remote control is lost"),)
+    return (_one("FS_THR_ENABLE", 0, "else a rover without a receiver is in its failsafe until the agent sends"),)
+
+
+def _channel(number: int) -> tuple[Rule, ...]:
+    why = "else the wheels and the motor do less or more than the agent commands"
+    ends = (("MIN", NEUTRAL - SPAN), ("TRIM", NEUTRAL), ("MAX", NEUTRAL + SPAN), ("DZ", DEAD_ZONE))
+    reversed_ = _one(f"RC{number}_REVERSED", 0, "else it turns or drives the other way: use SERVOn_REVERSED instead")
+    return (*(_one(f"RC{number}_{end}", value, why) for end, value in ends), reversed_)
+
+
+def _slew_rate(settings: CarSettings) -> Rule:
+    least = math.ceil(100.0 * SLOWEST * settings.max_acceleration / settings.full_speed)
+    return Rule(
+        "MOT_SLEWRATE", lambda v: v == 0 or v >= least, f"0, or {least} or more",
+        "% of the throttle in a second: else the motor lags behind the agent's commands",
+    )  # fmt: skip

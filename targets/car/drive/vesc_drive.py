@@ -1,0 +1,206 @@
+"""A VESC on a serial device as the car's drive. It survives being unplugged: the device is opened again."""
+
+from __future__ import annotations
+
+import math
+
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from targets.car.base.settings import CarSettings
+from targets.car.control.mpc import Command
+from targets.car.drive import battery, vesc
+from targets.car.drive.links import ByteLink, Links
+
+STUCK = 1.0  # seconds for which the device may take no bytes
+STARTING = 5.0  # seconds within which it must have answered for the first time
+SILENT = 2.0  # seconds without an answer, or without the device, after which it counts as lost
+REPLUG = 0.5  # seconds between two attempts to open the device anew
+OLDEST = 3  # major version: before, the command that moves the servo was another's number, that of the configuration
+_FAULTS = {
+    1: "over-voltage",
+    2: "under-voltage",
+    3: "gate driver",
+    4: "over-current",
+    5: "its transistors are too hot",
+    6: "the motor is too hot",
+}  # mc_fault_code, fmt: skip
+
+
+class VescDrive:
+    """Implements `drive.Drive`."""
+
+    battery = None  # a VESC measures its supply, but knows no battery
+
+    def __init__(self, device: str, settings: CarSettings, links: Links) -> None:
+        self._device, self._settings, self._links = device, settings, links
+        self._watch = links.watchdog()
+        self._brake = vesc.encode(vesc.Brake(settings.brake_current))
+        self._decoder = vesc.Decoder()
+        self._unsent = b""
+        self.asked = 0.0  # see Drive
+        self._values: vesc.Values | None = None  # what it said last, since its link was opened
+        self._version: vesc.Version | None = None
+        self._stuck_since: float | None = None
+        self._unanswered_since: float | None = None
+        self._gone_since: float | None = None
+        self._gone = ""  # why, in words
+        self._retry = -math.inf
+        self._ever = False  # whether it has ever answered
+        self._news: list[str] = []
+        self._link: ByteLink | None = self._opened()
+
+    def _opened(self) -> ByteLink:
+        link = self._links.serial(self._device)
+        self._decoder, self._unsent = vesc.Decoder(), b""
+        self._values = self._version = None
+        self._watch.hold(link.fileno(), self._brake)
+        return link
+
+    @property
+    def heard(self) -> bool:
+        return self._values is not None and self._version is not None
+
+    @property
+    def blocked(self) -> str:
+        if self._link is None:
+            return f"braking: {self._gone}"
+        if self._values is None or self._version is None:
+            return f"waiting for the motor controller on {self._settings.drive}"
+        return f"braking: the motor controller reports {self.fault}" if self.fault else self._watch.trouble
+
+    @property
+    def fault(self) -> str:
+        code = self._values.fault if self._values is not None else 0
+        words = f" ({_FAULTS[code]})" if code in _FAULTS else ""
+        return f"fault {code}{words}" if code else ""
+
+    @property
+    def about(self) -> str:
+        if self._values is None or self._version is None:
+            return "a motor controller that does not tell its firmware"
+        version = f"{self._version.major}.{self._version.minor}"
+        return f"VESC firmware {version} answers on {self._settings.drive}, supply {self._values.voltage:.1f} V"
+
+    @property
+    def doubt(self) -> str:
+        return battery.doubt(self._values.voltage) if self._values is not None else ""
+
+    def read(self, now: float) -> float | None:
+        """See Drive."""
+        self._watch.poll()
+        speed = None
+        for message in self._decoder.feed(self._received(now)):
+            if isinstance(message, vesc.Values):
+                self._values = message
+                speed = message.erpm / self._settings.speed_to_erpm_gain
+            elif isinstance(message, vesc.Version):
+                self._version = message
+            if self.heard:
+                self._unanswered_since, self._ever = None, True
+        self._judge(now)
+        return speed
+
+    def _judge(self, now: float) -> None:
+        if self._version is not None and self._version.major < OLDEST:
+            version = f"{self._version.major}.{self._version.minor}"
+            hint = "update it with the VESC tool: with this one the command that steers would change its configuration"
+            raise Unready(f"the motor controller's firmware {version} is too old", hint)
+        if self._gone_since is not None and now - self._gone_since > SILENT:
+            raise Unready(self._gone, "check its cable and supply; it brakes by itself when commands stop")
+        since = self._unanswered_since
+        if since is not None and now - since > (SILENT if self._ever else STARTING):
+            raise Unready(
+                f"the motor controller on {self._settings.drive} has not answered for {now - since:.1f} s",
+                "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled",
+            )
+
+    def _received(self, now: float) -> bytes:
+        if self._link is None:
+            self._reopen(now)
+        if self._link is None:
+            return b""
+        try:
+            return self._link.read()
+        except Unready as error:
+            self._lose(error, now)
+            return b""
+
+    def _reopen(self, now: float) -> None:
+        if now < self._retry:
+            return
+        self._retry = now + REPLUG
+        try:
+            self._link = self._opened()
+        except Unready:
+            return
+        self._gone_since = self._unanswered_since = self._stuck_since = None
+        self._news.append(f"the motor controller at {self._device} is there again")
+
+    def _lose(self, error: Unready, now: float) -> None:
+        self._watch.release()
+        if self._link is not None:
+            self._link.close()
+        self._link, self._gone, self._gone_since = None, error.message, now
+        self._retry, self._unanswered_since = now + REPLUG, None
+        self._news.append(f"{error.message}: braking")
+
+    def ask(self, now: float) -> None:
+        """See Drive."""
+        self._send(b"", now)
+
+    def checks(self, now: float) -> list[Finding]:
+        """See Drive: its settings cannot be asked for."""
+        return []
+
+    def fixes(self) -> tuple[()]:
+        """See Drive: it does not know."""
+        return ()
+
+    def go(self, command: Command, speed: float | None, now: float) -> None:
+        """See Drive. Without commands the VESC's own time-out brakes (set it to 0.5 s, and its time-out brake current,
+        which is 0 as delivered, to `brake_current`)."""
+        settings = self._settings
+        servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
+        erpm = settings.speed_to_erpm_gain * command.speed
+        self.asked = command.speed
+        self._send(vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm)), now)
+
+    def brake(self, now: float) -> None:
+        """See Drive."""
+        self._send(self._brake, now)
+
+    def _send(self, commands: bytes, now: float) -> None:
+        """Send commands, and ask for what it tells."""
+        if self._link is None:
+            return
+        if self._unanswered_since is None:
+            self._unanswered_since = now
+        asked = vesc.encode(vesc.AskValues())
+        if self._version is None:
+            asked += vesc.encode(vesc.AskVersion())
+        # What is left of a frame goes first, or its first half would spoil the next; a queue would only age.
+        data = self._unsent or commands + asked
+        fresh = not self._unsent
+        try:
+            self._unsent = data[self._link.write(data) :]
+        except Unready as error:
+            self._lose(error, now)
+            return
+        if not self._unsent:
+            self._stuck_since = None
+            if commands and fresh:
+                self._watch.beat()
+        elif self._stuck_since is None:
+            self._stuck_since = now
+        elif now - self._stuck_since > STUCK:
+            raise Unready(f"the motor controller at {self._device} takes no commands", "check its cable")
+
+    def news(self) -> list[str]:
+        """See Drive."""
+        told, self._news = self._news + self._watch.news(), []
+        return told
+
+    def close(self, standing: bool) -> None:
+        """See Drive."""
+        self._watch.close(standing)
+        if self._link is not None:
+            self._link.close()

@@ -1,0 +1,215 @@
+"""Keeps the car clear of what stands in its way: has ways planned that it can drive, for the program and for driving,
+and refuses ways through what the fleet file names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from targets.car.base.bicycle import State, wrap
+from targets.car.base.settings import CarSettings
+from targets.car.planning.curves import Curve, Triple
+from targets.car.planning.ground import LEAVING, MARGIN, area, ground
+from targets.car.planning.lanes import Lane
+from targets.car.planning.planner import JUDGE, Plan, Point2, Wish
+from targets.car.planning.reasons import unreachable
+from targets.car.planning.shapes import named
+from targets.planning.guard import Guard
+from targets.planning.process import Planning, made
+from targets.planning.unplanned import ANOTHERS
+from targets.planning.world import Path, Scene, World
+
+MakePlanning = Callable[[str, World, float, str], Planning]
+
+REMEMBERED = 8  # answers of the planner that the program may command
+BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
+FIRST, PATIENCE = 0.04, 0.8  # seconds in which a way is made short, and until which one is looked for at all
+OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
+
+
+class Avoidance:
+    """Positions are of the rear axle's middle, metres, local ENU."""
+
+    def __init__(self, settings: Settings, own: CarSettings, planning: MakePlanning) -> None:
+        """The program's planner and the one for driving are two processes: neither waits for the other."""
+        world = World(
+            settings.geofence, settings.obstacles, own.clearance, own.width / 2, flies=False,
+            footprint=(own.length, own.width), overhang=own.overhang, height=own.height, wheelbase=own.wheelbase,
+            turning_radius=own.planned_radius, reverse=own.reverse, error=own.tracking_error + own.position_error,
+        )  # fmt: skip
+        self.area = area(world, min(MARGIN, own.reached_radius / 2))
+        self._name = own.planner
+        self._ground = ground(world)
+        self._kept = min(own.position_error, self._ground.least)
+        self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
+        self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
+        self._guard = Guard(settings.obstacles, {"half the width": world.radius})
+        self._names = dict(enumerate(peer.name for peer in settings.peers))
+        self._others: tuple[Path, ...] = ()
+        self._paths: dict[str, Path] = {}  # the others' by their names
+        self._plans: dict[Path, Curve] = {}
+        self._admitted: Path | None = None
+        self._news: list[str] = []
+        self.refusal = ""  # why what was commanded last is not driven, in words
+        self.blocker = ""  # what `free` met last, in words
+        self.unplanned = ""  # why the program's planner found no way last, in words
+
+    def start(self) -> None:
+        """Begin to make the planners. Raises Unready."""
+        self._program.start()
+        self._driving.start()
+
+    def poll(self) -> None:
+        """Never waits. Raises Unready when there is no such planner."""
+        self._program.poll()
+        self._driving.poll()
+
+    @property
+    def waiting(self) -> str:
+        """What is not there yet, in words; "" when all is."""
+        return "" if self._program.ready and self._driving.ready else "waiting for the planner"
+
+    def others(self, paths: Mapping[int, Path]) -> None:
+        """What the other robots have published."""
+        self._others = tuple(paths.values())
+        self._paths = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
+
+    def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
+        """For the program: few points that stand for a way the car can drive; () when there is none. The way itself is
+        remembered."""
+        start = Point(state.x, state.y, 0.0)
+        wish = msgspec.msgpack.encode(Wish(state.yaw, gear))
+        path = self._program.plan(start, goal, Scene.of(obstacles, self._others), wish)
+        answer = self._program.answer()
+        self.unplanned = "" if path else self._unplanned((start.x, start.y), goal, answer.reason if answer else "")
+        if path and answer is not None and (curve := _curve(answer.more)) is not None:
+            self._plans.pop(path, None)
+            self._plans[path] = curve
+            while len(self._plans) > REMEMBERED:
+                del self._plans[next(iter(self._plans))]
+        return path
+
+    def _unplanned(self, start: Point2, goal: Point, reason: str) -> str:
+        return reason if reason in ANOTHERS else self.explained(start, (goal.x, goal.y), reason)
+
+    def planned(self, state: State, points: Path) -> Curve | None:
+        """The way that these points stand for, if the planner has answered them and the car is where it begins."""
+        curve = self._plans.get(points)
+        if curve is None:
+            return None
+        x, y, yaw = curve.start
+        there = math.hypot(state.x - x, state.y - y) <= BEGIN and abs(wrap(state.yaw - yaw)) <= TURNED
+        return curve if there else None
+
+    def admits(self, points: Path) -> bool:
+        """Whether commanded points may be driven to one after the other; if not, `refusal` and `news` say why. The way
+        to the first is planned, so it is free to be anywhere."""
+        if points == self._admitted or points in self._plans or len(points) < 2 or not transmissible(points):
+            self.refusal = ""
+            return True
+        flat = tuple(Point(p.x, p.y, 0.0) for p in points)
+        trouble = self._guard.trouble(flat[0], flat[1:])
+        if trouble and not self.refusal:
+            self._news.append(f"not driven, holding instead: {trouble}")
+        self.refusal, self._admitted = trouble, None if trouble else points
+        return not trouble
+
+    def resumes(self, points: Path) -> None:
+        """Admit points that an earlier life of this agent drove to: the way to each is planned."""
+        self.refusal, self._admitted = "", points
+
+    def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
+        """Have a way to a target planned, for `answer`; False when that cannot be done now."""
+        wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)
+        start, goal = Point(state.x, state.y, 0.0), Point(target[0], target[1], 0.0)
+        return self._driving.ask(start, goal, Scene(others=self._others), msgspec.msgpack.encode(wish), FIRST)
+
+    @property
+    def asking(self) -> bool:
+        """Whether an answer is still to come."""
+        return self._driving.waiting
+
+    def answer(self) -> tuple[Curve | None, str] | None:
+        """What came to `ask`, once: a way, or None and the reason, which may be "": there simply is no way."""
+        answer = self._driving.answer()
+        return None if answer is None else (_curve(answer.more) if answer.path else None, answer.reason)
+
+    def explained(self, start: Point2, target: Point2, reason: str) -> str:
+        """Why there is no way from `start` to `target`, to follow the target's name; `reason` as `answer` gave it."""
+        fixed = (shape for *_, shape in self._ground.fixed.kept)
+        return unreachable(start, target, reason, fixed, self._paths, self._ground.clearance)
+
+    def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
+        """Whether a curve towards a target may be driven."""
+        ground = self._ground
+        seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
+        return ground.around(start, target, seen).clear(curve)
+
+    def strayed(self, state: State) -> bool:
+        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half of the
+        clearance: there no way back is driven that was not planned."""
+        return self._nearest(state)[0] < self._ground.least
+
+    def ahead(self, state: State, poses: Iterable[State]) -> str:
+        """Return the name of the first obstacle of the fleet file that is too near to the car at one of these poses; ""
+        if there is none. Too near is less than `position_error` (at most half of the clearance), and less than 95 % of
+        the car's present distance."""
+        kept = min(self._kept, LEAVING * self._nearest(state)[0])
+        return next((name for away, name in map(self._nearest, poses) if away < kept), "")
+
+    def _nearest(self, state: State) -> tuple[float, str]:
+        """Distance and name of the nearest obstacle of the fleet file; infinite if no obstacle is near."""
+        ground, middle = self._ground, self._ground.middle
+        x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
+        shapes = (shape for *_, shape in ground.fixed.around(x, y))
+        near = ((ground.body.distance(state.x, state.y, state.yaw, shape), shape.name) for shape in shapes)
+        return min(near, default=(math.inf, ""))
+
+    def free(self, curve: Curve, station: float, ahead: float) -> float:
+        """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as
+        `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out: see
+        `Lane`."""
+        if not self._paths:
+            return math.inf
+        ground, best = self._ground, math.inf
+        for name, path in self._paths.items():
+            lane = Lane(path, ground.body, curve.at(station), ground.clearance)
+            free = lane.free(curve, station, min(ahead, best))
+            if free < best:
+                best = free
+                inside = f"the car stands in robot {name}'s path, and its way does not soon lead out of it"
+                self.blocker = inside if free == 0.0 and lane.inside else f"robot {name}'s path is {free:.1f} m ahead"
+        return best
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last, for the log."""
+        told, self._news = [*self._news, *self._program.news(), *self._driving.news()], []
+        return told
+
+    def diagnose(self, sleep: Callable[[float], None]) -> Finding:
+        """Makes the planner and ends it again."""
+        try:
+            made(self._program, sleep)
+        except Unready as error:
+            return Finding.of("planner", error)
+        finally:
+            self._program.close()
+        return Finding("planner", "ok", f"{self._name} is ready")
+
+    def close(self) -> None:
+        """End the planners' processes. Idempotent."""
+        self._program.close()
+        self._driving.close()
+
+
+def _curve(more: bytes) -> Curve | None:
+    if not more:
+        return None
+    plan = msgspec.msgpack.decode(more, type=Plan)
+    return Curve(plan.start, plan.pieces)

@@ -1,0 +1,77 @@
+"""Lanes: the ground that paths of other robots take, and how far a car may drive with respect to them.
+
+A path says where its robot will be, not where it is now. So a car that is outside a lane stands before it. One that
+is in it may leave, if that takes it a short way, on which it comes no nearer to the middle of the lane, nor to the
+place where the path begins: a robot that waits stands there. So two cars that stand in each other's lane do not meet.
+Metres, local ENU.
+"""
+
+from __future__ import annotations
+
+import math
+
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
+from targets.car.planning.curves import Curve, Triple
+from targets.car.planning.shapes import Footprint, named
+from targets.planning.world import Path, Scene
+
+LOOK = 0.05  # metres between two places of a way that are looked at
+ROUGH = 0.01  # metres: the accuracy of the car's position
+
+
+class Lane:
+    """Of one path, for a car with that outline whose rear axle is at `here` now. `inside`: it is in the lane."""
+
+    def __init__(self, path: Path, body: Footprint, here: Triple, clearance: float) -> None:
+        self._shapes = list(named(Scene(others=(path,)), body, here[:2], clearance))
+        self._line = tuple(Point(p.x, p.y) for p in path)
+        self._body, self._here = body, here
+        self._depth = self._away(here)
+        self.inside = self._depth < 0.0
+
+    def free(self, curve: Curve, station: float, ahead: float) -> float:
+        """Return how many metres of a curve, from a station on, may be driven: 0 where the car is inside and must not
+        leave this way; infinite when the first `ahead` metres may."""
+        out = self._way_out(curve, station) if self.inside else 0.0
+        if out == math.inf:
+            return 0.0
+        least = 0.0 if self.inside else min(0.0, self._depth - ROUGH)
+        steps = math.ceil(min(ahead, curve.length - station) / LOOK)
+        for i in range(round(out / LOOK) + 1, steps + 1):
+            if self._away(curve.at(min(station + i * LOOK, curve.length))) < least:
+                return (i - 1) * LOOK
+        return math.inf
+
+    def _way_out(self, curve: Curve, station: float) -> float:
+        """Return after how many metres the car is out of the lane; infinite if it must not leave this way."""
+        longest = self._body.length + 2 * self._body.reach
+        middle, begin = self._distances(self._here)
+        for i in range(1, math.ceil(longest / LOOK) + 1):
+            if station + i * LOOK > curve.length:
+                return math.inf
+            pose = curve.at(station + i * LOOK)
+            to_middle, to_begin = self._distances(pose)
+            if to_middle < middle - ROUGH or (to_begin < 2 * longest and to_begin < begin - ROUGH):
+                return math.inf
+            middle = max(middle, to_middle)
+            if self._away(pose) >= 0.0:
+                return i * LOOK
+        return math.inf
+
+    def _distances(self, pose: Triple) -> tuple[float, float]:
+        """Return how far the middle of the outline is from the path, and from where that begins."""
+        x, y, yaw = pose
+        ahead = self._body.length / 2 - self._body.overhang
+        place = Point(x + ahead * math.cos(yaw), y + ahead * math.sin(yaw))
+        return path_distance((place,), self._line), path_distance((place,), self._line[:1])
+
+    def _away(self, pose: Triple) -> float:
+        """Return the distance of the outline from the lane; negative inside, infinite when it is far away."""
+        x, y, yaw = pose
+        reach, best = self._body.reach, math.inf
+        for shape in self._shapes:
+            west, south, east, north = shape.bounds
+            if west - reach <= x <= east + reach and south - reach <= y <= north + reach:
+                best = min(best, self._body.distance(x, y, yaw, shape))
+        return best

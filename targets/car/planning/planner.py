@@ -1,0 +1,155 @@
+"""What a planned path is, as the planner's process tells it and as the tracker takes it; and arcs, which need no
+planning."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import groupby
+
+import msgspec
+
+from targets.car.planning.curves import Curve, Piece, Triple, along, seen_from
+
+JUDGE = "targets.car.planning.ask:Asked"
+SPACING = 0.05  # metres between the poses of a path, at most
+REVERSE_PRICE = 0.1  # a metre driven backwards counts this much more than one forwards
+GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to stop for it
+SHORTEST_ARC = 0.005  # metres
+SLIVER = 1e-4  # metres: a shorter piece is left out of a path
+NEAR_POINTS = 0.1  # metres from a path to the straight lines between the points that stand for it
+
+Point2 = tuple[float, float]
+
+
+class Wish(msgspec.Struct, frozen=True, array_like=True):
+    """What a question says besides: radians, seconds."""
+
+    yaw: float = 0.0  # of the car
+    gear: int = 0  # the direction in which it rolls; 0: it stands
+    heading: float | None = None  # wished for at the goal
+    arrival: float | None = None  # one that an earlier way ends with: a way that is planned anew agrees with its begin
+    patience: float = 0.0  # when nothing has been found in the question's seconds, go on until so many
+
+
+class Plan(msgspec.Struct, frozen=True, array_like=True):
+    """What an answer tells besides: the curve. No pieces: the planner was a user's own, which knows points alone."""
+
+    start: Triple
+    pieces: tuple[Piece, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PathPose:
+    """A pose on a path: metres and radians in local ENU, `yaw` running on without jumps; curvature, 1/m, is
+    tan(steering)/wheelbase: positive when the wheels point to the left, in either gear."""
+
+    x: float
+    y: float
+    yaw: float
+    curvature: float
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A part of a path in one gear: direction 1 is forward, -1 reverse. At least two poses."""
+
+    direction: int
+    poses: tuple[PathPose, ...]
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """The rectangle that the car's reference point stays in, metres, local ENU."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def contains(self, x: float, y: float) -> bool:
+        return self.west <= x <= self.east and self.south <= y <= self.north
+
+    def depth(self, x: float, y: float) -> float:
+        """How far from its edge a place in it is."""
+        return min(x - self.west, self.east - x, y - self.south, self.north - y)
+
+    def with_point(self, x: float, y: float) -> Area:
+        """The smallest area that contains this one and a point: noise can put a car that stands at the fence outside
+        of it; from there, it may come back in."""
+        return Area(min(self.west, x), min(self.south, y), max(self.east, x), max(self.north, y))
+
+
+def segments(curve: Curve) -> list[Segment]:
+    """A curve as the tracker takes it."""
+    found = []
+    at = curve.start
+    for forward, group in groupby((p for p in curve.pieces if abs(p[1]) > SLIVER), key=lambda piece: piece[1] > 0):
+        pieces = tuple(group)
+        poses = [PathPose(*at, pieces[0][0])]
+        for curvature, way in pieces:
+            steps = math.ceil(abs(way) / SPACING - 1e-9)
+            poses += [PathPose(*along(at, curvature, way * i / steps), curvature) for i in range(1, steps + 1)]
+            at = along(at, curvature, way)
+        found.append(Segment(1 if forward else -1, tuple(poses), sum(abs(way) for _, way in pieces)))
+    return found
+
+
+def price(pieces: tuple[Piece, ...], gear: int = 0) -> float:
+    """What it costs to drive them, in metres; `gear` is the direction in which the car rolls now (0: it stands)."""
+    total = 0.0
+    for _, way in pieces:
+        total += way if way > 0 else -way * (1 + REVERSE_PRICE)
+        if gear * way < 0:
+            total += GEAR_PRICE
+        gear = 1 if way > 0 else -1
+    return total
+
+
+def points(curve: Curve) -> list[Point2]:
+    """Return few points, the first and the last of the curve among them, whose straight connections are nowhere farther
+    from it than NEAR_POINTS, nor it from them. The curve is sampled, and sampled where its pieces meet, too: the tip of
+    a change of gear is a point of the curve like any other. Between two samples an arc bulges by less than
+    SPACING ** 2 / 8 of its curvature, which is left of NEAR_POINTS."""
+    places = [curve.start[:2]]
+    at, bend = curve.start, 0.0
+    for curvature, way in curve.pieces:
+        steps = max(1, math.ceil(abs(way) / SPACING))
+        places += [along(at, curvature, way * i / steps)[:2] for i in range(1, steps + 1)]
+        at, bend = along(at, curvature, way), max(bend, abs(curvature))
+    last = len(places) - 1
+    kept = [0, last]
+    for begin, end in (todo := [(0, last)]):
+        off, i = max(
+            ((_off(places[begin], places[end], places[i]), i) for i in range(begin + 1, end)), default=(0.0, 0)
+        )
+        if off > NEAR_POINTS - bend * SPACING**2 / 8:
+            kept.append(i)
+            todo += [(begin, i), (i, end)]
+    return [places[i] for i in sorted(kept)]
+
+
+def _off(a: Point2, b: Point2, p: Point2) -> float:
+    """The distance of p from the straight line between a and b."""
+    ex, ey, px, py = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]
+    square = ex * ex + ey * ey
+    share = max(0.0, min(1.0, (px * ex + py * ey) / square)) if square else 0.0
+    return math.hypot(px - share * ex, py - share * ey)
+
+
+def arc(
+    radius: float, start: Triple, goal: Point2, gear: int, tolerance: float, through: Point2 | None = None
+) -> Curve | None:
+    """One arc without a change of gear that ends within `tolerance` metres of the goal, or None when there is none:
+    what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open. The arc is the one
+    through the goal, or `through` another point beyond it, as far as the turning radius allows."""
+    ahead, aside, _ = seen_from(start, (*(goal if through is None else through), 0.0))
+    bend = max(-1 / radius, min(1 / radius, 2 * aside / max(math.hypot(ahead, aside), 1e-9) ** 2))
+    bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is an arc of 1000 km
+    ahead, aside, _ = seen_from(start, (*goal, 0.0))
+    way = math.atan2(bend * ahead, 1 - bend * aside) / bend  # the place on it that is nearest to the goal
+    if abs(way) < SHORTEST_ARC or gear * way < 0 or abs(way) > math.pi / 2 * radius:
+        return None
+    curve = Curve(start, ((bend, way),))
+    return curve if math.dist(curve.end[:2], goal) <= tolerance else None

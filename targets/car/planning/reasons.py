@@ -1,0 +1,75 @@
+"""Reasons why a car has no way to its target: the planner's answer, or an obstacle on the planned way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
+from targets.car.planning.planner import Point2
+from targets.car.planning.shapes import Footprint, Shape
+from targets.planning.world import Path
+
+SAME = 0.02  # metres within which two targets are one
+ANOTHER = "another robot's path"  # as the planner calls what another robot has published
+_POINT = Footprint(0.0, 0.0, 0.0)
+
+
+class NoWay:
+    """`why` says what is wanted and why there is no way there; "" while there is one. Places in metres, local ENU."""
+
+    def __init__(self) -> None:
+        self.why = ""
+        self._target: Point2 | None = None  # for which no way was found
+        self._tries = 0
+        self._since = 0.0
+
+    def failed(self, target: Point2, reason: str, now: float) -> None:
+        """Record that no way was found to a target."""
+        if self._target is None or math.dist(self._target, target) > SAME:
+            self._target, self._tries, self._since = target, 0, now
+        self._tries += 1
+        tries = f" ({self._tries} tries in {now - self._since:.0f} s)" if self._tries > 1 else ""
+        self.why = f"{_named(target)} {reason}{tries}"
+
+    def blocked(self, target: Point2, reason: str) -> None:
+        """Record that the way to the target is blocked."""
+        self.why, self._target = f"{_named(target)} is not approached: {reason}", None
+
+    def found(self) -> None:
+        """Record that the car drives along a way to its target."""
+        self.why, self._target = "", None
+
+
+def unreachable(
+    start: Point2, target: Point2, reason: str, fixed: Iterable[Shape], others: Mapping[str, Path], clearance: float
+) -> str:
+    """Why the planner found no way from `start` to `target`, to follow the target's name; `reason` is the planner's own
+    and may be empty, `fixed` are the obstacles of the fleet file, `others` the published paths by robot."""
+    inside = next((shape.name for shape in fixed if _POINT.distance(*target, 0.0, shape) <= 0.0), "")
+    if inside:
+        return f"lies inside {inside}"
+    nearest = min(others, key=lambda name: _distance(target, others[name]), default="")
+    if not reason:
+        past = f", past the paths of {', '.join(sorted(others))}" if others else ""
+        return f"has no path from {_placed(start)}{past}"
+    if nearest:
+        reason = reason.replace(ANOTHER, f"robot {nearest}'s path")
+    near = "the goal is too near to "
+    if reason.startswith(near):
+        return f"is too near to {reason.removeprefix(near)} for the car (clearance {clearance:g} m)"
+    return f"has no path: {reason}"
+
+
+def _distance(place: Point2, path: Path) -> float:
+    return path_distance((Point(*place, 0.0),), tuple(Point(p.x, p.y, 0.0) for p in path))
+
+
+def _named(target: Point2) -> str:
+    return f"target {_placed(target)}"
+
+
+def _placed(place: Point2) -> str:
+    x, y = (round(c, 2) + 0.0 for c in place)  # + 0.0: no -0.00
+    return f"({x:.2f}, {y:.2f})"

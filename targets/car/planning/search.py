@@ -1,0 +1,219 @@
+"""Anytime search for ways that a car can drive: a single curve, or a way of a lattice, made short by short cuts.
+
+`Search.ways` is one sequence of small units of work. It depends on the question alone, and a budget only ends it: so a
+larger budget finds every way that a smaller one finds, and answers one that is at least as cheap.
+
+OMPL measures curves and grows the trees of RRT* (ompl_space.py); the curves themselves (`curves.py`), and whether one
+is clear (`ground.py`), are ours. Where OMPL has no wheel, the curves' own lengths measure, which takes longer.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from typing import TYPE_CHECKING
+
+from targets.car.planning.curves import Curve, Piece, Triple, dubins, reeds_shepp
+from targets.car.planning.field import Field
+from targets.car.planning.ground import PAD, Way
+from targets.car.planning.lattice import Aim, Lattice
+from targets.car.planning.planner import Area, Point2, price
+from targets.planning import own_trees
+from targets.planning.limit import Limit
+
+if TYPE_CHECKING:
+    from targets.car.planning.ompl_space import OmplSpace
+
+HEADINGS = 24  # candidates at the goal, besides those at which the shortest simple turns arrive
+DETOUR = 1.6  # a single curve that is so much longer than the shortest is not worth its time; and a turn more
+WAITS = 4.0, 1.5  # of two lattices: see Lattice
+ALONE = 40  # batches of the first one before the second takes turns with it
+UNIT = 8  # short cuts that are tried in one unit of work
+TRIES = 150  # short cuts of one way that are tried in vain before another way is looked for
+WORTH = 1.3  # a way that costs more than so many times the first one is not worth short cuts
+SHOTS = 3  # curves to a place that are tried from a pose of the lattice
+LEAST_CUT = 0.1  # metres: a way between two poses that is shorter is left alone
+GAIN = 1e-3  # metres of price that make a short cut one
+FORWARDS = 0.3  # of the short cuts are tried without reverse gear, which may be cheaper
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """From a pose to a place, at one of these headings. `gear` is the direction in which the car rolls (0: it
+    stands)."""
+
+    start: Triple
+    goal: Point2
+    headings: tuple[float, ...]
+    gear: int = 0
+
+
+class Space:
+    """The poses of a car, and the shortest curves between them."""
+
+    def __init__(self, radius: float, reverse: bool, area: Area) -> None:
+        self.radius, self.reverse = radius, reverse
+        self.ompl = _ompl_space(radius, reverse, area)
+        self._solve: Callable[[Triple, Triple, float, float | None], Curve] = reeds_shepp if reverse else dubins
+
+    def distance(self, a: Triple, b: Triple) -> float:
+        """Return the length of the shortest curve (m)."""
+        return self._solve(a, b, self.radius, None).length if self.ompl is None else self.ompl.distance(a, b)
+
+    def curve(self, a: Triple, b: Triple, length: float | None = None) -> Curve:
+        if length is None and self.ompl is not None:
+            length = self.ompl.distance(a, b)
+        return self._solve(a, b, self.radius, length)
+
+
+def _ompl_space(radius: float, reverse: bool, area: Area) -> OmplSpace | None:
+    if own_trees.is_needed():
+        return None
+    from targets.car.planning.ompl_space import OmplSpace
+
+    return OmplSpace(radius, reverse, area)
+
+
+class Search:
+    """For one car in one world. With a `seed` and `iterations` in the Limits, the answer depends on the task alone."""
+
+    def __init__(self, radius: float, reverse: bool, area: Area, seed: int | None) -> None:
+        self._radius, self._seed, self._area = radius, seed, area
+        self._forwards = Space(radius, False, area)
+        self._spaces = (self._forwards, Space(radius, True, area)) if reverse else (self._forwards,)
+        self._space = self._spaces[-1]
+
+    def headings(self, start: Triple, goal: Point2) -> Iterator[float]:
+        """Those at which a way may end that may end at any: all around, and those of the shortest simple turns."""
+        yield from (start[2] + i * 2 * math.pi / HEADINGS for i in range(HEADINGS))
+        x, y, yaw = start
+        for side in (1, -1):  # one turn and a straight line, to either side and in either gear
+            cx, cy = x - side * self._radius * math.sin(yaw), y + side * self._radius * math.cos(yaw)
+            away = math.hypot(goal[0] - cx, goal[1] - cy)
+            if away > self._radius:
+                bearing = math.atan2(goal[1] - cy, goal[0] - cx)
+                aside = math.asin(self._radius / away)
+                yield bearing + side * aside
+                if self._space.reverse:
+                    yield bearing - side * aside + math.pi
+
+    def direct(self, task: Task, way: Way) -> Curve | None:
+        """The cheapest single curve that is clear."""
+        curves = [
+            (space.distance(task.start, (*task.goal, heading)), heading, i)
+            for i, space in enumerate(self._spaces)
+            for heading in task.headings
+        ]
+        curves.sort()
+        best, least = None, math.inf
+        for length, heading, i in curves:
+            if length >= least or length > DETOUR * curves[0][0] + 2 * math.pi * self._radius:
+                break  # a price is never below the length: nothing better can follow
+            curve = self._spaces[i].curve(task.start, (*task.goal, heading), length)
+            cost = price(curve.pieces, task.gear)
+            if cost < least and way.clear(curve):
+                best, least = curve, cost
+        return best
+
+    def ways(self, task: Task, way: Way) -> Iterator[Curve | None]:
+        """Yield after each unit of work: a way that is cheaper than all before, or None. End when nothing is left."""
+        least, dice = math.inf, random.Random(self._seed or 0)
+        most = math.inf
+        for found in self._explored(task, way):
+            if found is not None and (cost := price(found.pieces, task.gear)) < most and way.clear(found, 0.0):
+                most = min(most, WORTH * cost)
+                if cost < least:
+                    least = cost
+                    yield found
+                for curve in self._shortened(found, task, way, dice):
+                    cheaper = price(curve.pieces, task.gear) < least
+                    least = min(least, price(curve.pieces, task.gear))
+                    yield curve if cheaper else None
+            yield None
+
+    def _explored(self, task: Task, way: Way) -> Iterator[Curve | None]:
+        """Yield what lattices hold, after each batch. The first nearly always is the sooner one; where it looks at too
+        many coarse cells before it looks closer, the second one has a way."""
+        goals = [(*task.goal, heading) for heading in task.headings]
+        distance = self._space.distance
+
+        def shots(at: Triple) -> Iterator[Curve]:
+            for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
+                yield self._space.curve(at, goal, length)
+
+        aim = Aim(task.goal, Field(task.goal, way.cells, way.passable()), shots)
+        reverse = self._space.reverse
+        lattices = [Lattice(task.start, self._radius, reverse, way, aim, wait).explore() for wait in WAITS]
+        for number in count():
+            lattice = lattices[0 if number < ALONE else number % 2]
+            try:
+                pieces = next(lattice)
+            except StopIteration:
+                return
+            yield None if pieces is None else Curve(task.start, merged(pieces))
+
+    def _shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Iterator[Curve]:
+        """Yield the same way after each unit of short cuts, as far as they are clear and cheaper."""
+        vain = 0
+        while vain < TRIES:
+            for _ in range(UNIT):
+                cut = self._cut(curve, task, way, dice)
+                vain = 0 if cut is not None else vain + 1
+                curve = curve if cut is None else cut
+            yield curve
+
+    def _cut(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Curve | None:
+        """Return the way with one random short cut, if that is clear and cheaper."""
+        begin, end = sorted((dice.uniform(-0.2, 1.2), dice.uniform(-0.2, 1.2)))
+        begin, end = max(0.0, begin) * curve.length, min(1.0, end) * curve.length
+        if end - begin < LEAST_CUT:
+            return None
+        space = self._forwards if dice.random() < FORWARDS else self._space
+        a = curve.at(begin)
+        b = curve.at(end) if end < curve.length else (*task.goal, dice.choice(task.headings))
+        length, least = space.distance(a, b), price(curve.pieces, task.gear)
+        if length > end - begin + least - curve.length:
+            return None
+        cut = space.curve(a, b, length)
+        pieces = merged((*curve.between(0.0, begin), *cut.pieces, *curve.between(end, curve.length)))
+        if price(pieces, task.gear) > least - GAIN or not way.clear(cut):
+            return None
+        whole = Curve(curve.start, pieces)
+        return whole if way.clear(whole, 0.0) else None
+
+    def grown(self, task: Task, way: Way, over: Limit) -> Curve | None:
+        """Return what RRT* finds. It needs OMPL."""
+        space = self._space
+        assert space.ompl is not None, own_trees.NEEDS_OMPL
+
+        def clear(a: Triple, b: Triple, length: float) -> bool:
+            return way.slack(*b) >= PAD and way.clear(space.curve(a, b, length))
+
+        goals = [(*task.goal, heading) for heading in task.headings]
+        poses = space.ompl.grown(task.start, goals, clear, over, self._seed)
+        return None if poses is None else self._joined(task.start, poses, way)
+
+    def _joined(self, start: Triple, poses: list[Triple], way: Way) -> Curve | None:
+        """A solution as one curve. Of two equally short curves, a tree may have looked at the other one."""
+        pieces: list[Piece] = []
+        at = start
+        for pose in poses:
+            curve = self._space.curve(at, pose)
+            if not way.clear(curve):
+                return None
+            pieces += curve.pieces
+            at = curve.end
+        return Curve(start, merged(pieces))
+
+
+def merged(pieces: list[Piece] | tuple[Piece, ...]) -> tuple[Piece, ...]:
+    """The same with neighbours of equal curvature and direction as one."""
+    found: list[Piece] = []
+    for curvature, way in pieces:
+        if found and found[-1][0] == curvature and found[-1][1] * way > 0:
+            way += found.pop()[1]
+        found.append((curvature, way))
+    return tuple(found)

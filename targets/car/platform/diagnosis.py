@@ -1,0 +1,203 @@
+"""Looks at a car without moving it: whether its motor controller answers, and how well the position feed arrives."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.datagrams import waiting
+from koordgen.runtime.vehicle.feed import Feed
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from koordgen.runtime.vehicle.safety import inside
+from targets.car.base.settings import CarSettings
+from targets.car.control.lag import LONGEST_LAG, is_long
+from targets.car.control.tracker import BRAKING
+from targets.car.drive.drive import Drive, opened
+from targets.car.drive.links import Links
+from targets.car.drive.watchdog import LATE
+
+STALE = 0.3  # seconds without a sample of the position feed: brake
+_STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
+_DRIVE_STEPS = 110  # a drive that is silent for 5 s says so by itself
+_CHECK_STEPS = 100  # more, in which a drive that answers is asked for its settings
+_WATCHED = 1.0  # seconds for which a feed is watched
+LEAST_RATE = 10.0  # Hz
+LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
+MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
+
+
+def limits(settings: CarSettings, fence: Box) -> Finding:
+    """Whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
+    radius, room = settings.planned_radius, min(fence.hi.x - fence.lo.x, fence.hi.y - fence.lo.y)
+    erpm = 0.0 if settings.is_rover else abs(settings.max_speed * settings.speed_to_erpm_gain)
+    share = settings.max_speed / settings.full_speed
+    pace = f"{share:.0%} of the throttle" if settings.is_rover else f"{erpm:.0f} ERPM"
+    told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {pace}"
+    if 2 * radius > room:
+        hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
+        return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+    if settings.braking < BRAKING * settings.max_acceleration:
+        slower = f"brakes with {settings.braking:g} m/s^2, {told}"
+        hint = "it would be driven as if it braked better than it does: lower max_acceleration, or mend the brakes"
+        return Finding("limits", "fail", slower, f"{BRAKING * settings.max_acceleration:g} m/s^2 or more", hint)
+    if settings.steering_limit < LEAST_STEERING * settings.max_steering:
+        hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
+        steering = f"steers {settings.steering_limit:.2f} rad, {told}"
+        return Finding("limits", "warn", steering, f"max_steering, {settings.max_steering:g} rad", hint)
+    if erpm > MOST_ERPM:
+        hint = "a VESC refuses more as delivered: look at max_speed and speed_to_erpm_gain"
+        return Finding("limits", "warn", told, f"{MOST_ERPM:.0f} ERPM or less", hint)
+    return Finding("limits", "ok", told)
+
+
+def slow(lag: float) -> str:
+    """A motor's lag (s) that is too long, and what to do about it, in words."""
+    return (
+        f"the motor follows its commands with a lag of {lag:.1f} s, the car is driven exactly up to {LONGEST_LAG:g} s: "
+        "it overshoots and may circle its targets; tune the motor controller's speed loop, raise a rover's "
+        "MOT_SLEWRATE, or lower max_speed and max_acceleration"
+    )
+
+
+def lag_findings(lag: float | None) -> list[Finding]:
+    """The motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
+    if lag is None:
+        return []
+    told = f"{lag:.1f} s when the car drove last"
+    if is_long(lag):
+        return [Finding("lag", "warn", told, f"{LONGEST_LAG:g} s or less", slow(lag))]
+    return [Finding("lag", "ok", told)]
+
+
+def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
+    """Whether the drive answers, and what it says of itself; it is opened and closed."""
+    try:
+        drive = opened(settings, links, frame)
+    except Unready as error:
+        return [Finding.of("drive", error)]
+    checked: list[Finding] | None = None
+    try:
+        for i in range(_DRIVE_STEPS + _CHECK_STEPS):
+            drive.ask(i * _STEP)
+            links.wait(_STEP)
+            drive.read(i * _STEP)
+            if drive.heard and (checked := drive.checks(i * _STEP)) is not None:
+                break
+            if not drive.heard and i >= _DRIVE_STEPS:
+                break
+    except Unready as error:
+        return [Finding.of("drive", error)]
+    finally:
+        drive.close(standing=True)
+    if not drive.heard:
+        return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
+    return [_answering(drive), *(checked or [])]
+
+
+def _answering(drive: Drive) -> Finding:
+    if drive.fault:
+        hint = "it brakes while this lasts; the VESC tool tells what the fault means"
+        return Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)
+    if drive.doubt:
+        return Finding("drive", "warn", drive.about, why=drive.doubt)
+    return Finding("drive", "ok", drive.about)
+
+
+def watchdog_finding(links: Links) -> Finding:
+    """Whether a watchdog can be started and answers; what it holds meanwhile is nothing."""
+    watch = links.watchdog()
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        watch.hold(nothing, b"")
+        for _ in range(_STEPS):
+            watch.beat()
+            links.wait(_STEP)
+            watch.poll()
+            if not watch.trouble:
+                return Finding("watchdog", "ok", f"answers; it brakes {LATE:g} s after the last command")
+    finally:
+        watch.close(standing=True)
+        os.close(nothing)
+    hint = "; ".join(watch.news()) or "is the computer overloaded?"
+    return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
+
+
+def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
+    """Whether positions arrive, how often, how old, and whether where they should; the port is opened and closed."""
+    try:
+        datagrams = links.position(settings.position)
+    except Unready as error:
+        return [Finding.of("position", error)]
+    feed.hear(datagrams)
+    came: list[float] = []
+    oldest = 0.0  # seconds
+    try:
+        for i in range(_STEPS):
+            links.wait(_STEP)
+            now = i * _STEP
+            for datagram in waiting(datagrams):
+                if feed.take(datagram, now) and feed.time is not None:
+                    came.append(now)
+                    oldest = max(oldest, now - feed.time)
+            if came and now - came[0] >= _WATCHED:
+                break
+    finally:
+        datagrams.close()
+    if feed.pose is None:
+        return [Finding.of("position", Unready(*feed.silent(settings.position, _STEPS * _STEP)))]
+    return [_arriving(settings, came, oldest, now), _placed(feed.pose.position, fence)]
+
+
+def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
+    """The same of a drive that knows where it is; it is opened and closed."""
+    came: list[float] = []
+    place = Point()
+    try:
+        drive = opened(settings, links, frame)
+    except Unready as error:
+        return [Finding.of("position", error)]
+    try:
+        for i in range(_STEPS):
+            drive.ask(i * _STEP)
+            links.wait(_STEP)
+            now = i * _STEP
+            drive.read(now)
+            for pose, _ in drive.fixes():
+                came.append(now)
+                place = pose.position
+            if came and now - came[0] >= _WATCHED:
+                break
+    except Unready as error:
+        return [Finding.of("position", error)]
+    finally:
+        drive.close(standing=True)
+    if not came:
+        hint = "does its EKF know its place and heading? Else give the car a position feed"
+        return [Finding("position", "fail", f"the rover has not told where it is for {now:.0f} s", "10 Hz", hint)]
+    return [_arriving(settings, came, 0.0, now), _placed(place, fence)]
+
+
+def _placed(p: Point, fence: Box) -> Finding:
+    where = f"({p.x:.2f}, {p.y:.2f}) m"
+    if not inside(fence, p):
+        hint = "is the base station's origin the fleet's, and does it track this robot's markers?"
+        return Finding("place", "fail", where, "inside the geofence", hint)
+    return Finding("place", "ok", f"{where}, inside the geofence")
+
+
+def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:
+    """`came`: when each sample arrived; `end`: when the look ended; seconds."""
+    rate = sum(t > came[0] for t in came) / max(end - came[0], _STEP)
+    gap = max(b - a for a, b in pairwise([*came, end]))
+    found = f"{rate:.0f} Hz on {settings.position}, {oldest * 1e3:.0f} ms old, longest gap {gap:.2f} s"
+    wanted = f"{LEAST_RATE:g} Hz or more, none older than {STALE:g} s"
+    if gap + oldest > STALE:
+        return Finding(
+            "position", "fail", found, wanted, "the car brakes at each gap: see to the base station's network"
+        )
+    if rate < LEAST_RATE:
+        return Finding("position", "warn", found, wanted, "it drives less exactly: raise the base station's rate")
+    return Finding("position", "ok", found)

@@ -1,0 +1,116 @@
+"""A car's platform in a simulator that owns time, and the watchdog that brakes the car when its agent falls silent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.inside import Exchange, Inside, Stream
+from targets.car.base.settings import FROM_DRIVE
+from targets.car.drive.links import ByteLink, Nowhere
+from targets.car.drive.rover import Route
+from targets.car.drive.watchdog import LAST, LATE, PERIOD
+from targets.car.drive.watched import OFTEN
+from targets.car.platform.platform import Car
+from targets.mavlink.inside import Direct
+from targets.planning.process import bounded
+
+
+def made(settings: Settings, key: bytes | None, inside: Inside) -> Car:
+    """See koordgen.runtime.vehicle.inside."""
+    return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
+
+
+class InsideLinks:
+    """Implements `links.Links`."""
+
+    def __init__(self, inside: Inside) -> None:
+        self._inside = inside
+        self._drive: Callable[[bytes], object] = lambda data: None  # where the watchdog writes to
+
+    def serial(self, device: str) -> ByteLink:
+        stream: Stream = self._inside.stream(device)
+        self._drive = stream.write
+        return stream
+
+    def mavlink(self, url: str) -> Route:
+        exchange: Exchange = self._inside.exchange(url)
+        self._drive = exchange.send
+        return Direct(exchange)
+
+    def position(self, setting: str) -> DatagramLink:
+        return Nowhere() if setting == FROM_DRIVE else self._inside.exchange(setting)
+
+    def scans(self, setting: str) -> DatagramLink:
+        return self._inside.exchange(setting)
+
+    def watchdog(self) -> Watching:
+        watching = Watching(self._inside.now, lambda data: self._drive(data))
+        self._inside.beside(watching.step)
+        return watching
+
+    def wait(self, seconds: float) -> None:
+        """`diagnose` is not for simulators."""
+
+    def remember(self, lag: float) -> None:
+        """Nobody asks for it."""
+
+    def remembered(self) -> float | None:
+        return None
+
+
+class Watching:
+    """Implements `watched.Watch` as watchdog.py does: brakes when no command has come for LATE seconds, until LAST
+    seconds after the last one that was looked for. It answers at once, and nothing but the world ends it."""
+
+    trouble = ""
+
+    def __init__(self, clock: Callable[[], float], write: Callable[[bytes], object]) -> None:
+        self._clock, self._write = clock, write
+        self._brake: bytes | None = None
+        self._due = self._end = math.inf
+        self._commanded = -math.inf
+        self._braking = False
+        self._told = -math.inf
+        self._news: list[str] = []
+
+    def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
+        self._brake = brake
+
+    def release(self) -> None:
+        self._brake, self._due = None, math.inf
+
+    def beat(self) -> None:
+        self._commanded = self._clock()
+        self._due, self._braking = self._commanded + LATE, False
+
+    def poll(self) -> None:
+        pass
+
+    def step(self, now: float) -> None:
+        """The watchdog's own life."""
+        if now < self._due or self._brake is None or now > self._commanded + LATE + LAST:
+            return
+        self._due = now + PERIOD
+        if not self._braking:
+            self._braking = True
+            self._tell(now)
+        self._write(self._brake)
+
+    def _tell(self, now: float) -> None:
+        if now - self._told >= OFTEN:
+            late = now - self._commanded
+            self._news.append(f"the watchdog braked because no command had come for {late:.2f} s: the agent was stuck")
+            self._told = now
+
+    def news(self) -> list[str]:
+        told, self._news = self._news, []
+        return told
+
+    def close(self, standing: bool) -> None:
+        if standing:
+            self.release()

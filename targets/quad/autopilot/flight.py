@@ -1,0 +1,374 @@
+"""The life of a flight, from the first heartbeat to the motors' stop: a polled state machine over one link.
+
+Each step is believed only when telemetry shows it, and asked for again until then. Once it is armed, a mode that is
+not ours means that a pilot or a failsafe took the vehicle: it is never taken back.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from typing import NoReturn
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.config.settings import Box
+from koordgen.runtime.values.points import Point
+from koordgen.runtime.vehicle.platform import Unready
+from targets.mavlink.framing import Message
+from targets.mavlink.link import RESULTS, Link
+from targets.mavlink.parameters import Review, Wanted
+from targets.quad.autopilot.check import RIVAL, misplaced, stranger, unheard
+from targets.quad.autopilot.firmware import Firmware
+from targets.quad.autopilot.telemetry import Streams, Telemetry
+from targets.quad.autopilot.vehicles import identified
+
+SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
+AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
+BY_HAND = 5.0  # seconds after arming; ArduPilot itself disarms for want of a take-off after 10 (DISARM_DELAY)
+BLIND = 3.0  # seconds without a position after which a climb is given up
+STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
+QUIET = 0.4  # seconds without any message, in flight, after which the link is said to be silent
+CALLING = 1.0  # seconds for which setpoints flow before a mode is asked for that lasts as long as they do
+CLIMB, RISING = 0.5, 0.8  # m/s, and part of the climb's limit: setpoints rise no faster
+CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED of DO_CHANGE_SPEED
+ASKED = 4  # times that a limit of the climb is asked for; then the vehicle takes off without
+PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
+COMMANDS = (
+    mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_CHANGE_SPEED,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)  # fmt: skip
+_ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
+class Phase(enum.Enum):
+    """Where in its life the flight is; they follow in this order."""
+
+    CONNECTING = enum.auto()
+    ESTIMATING = enum.auto()
+    SWITCHING = enum.auto()
+    ARMING = enum.auto()
+    CLIMBING = enum.auto()
+    FLYING = enum.auto()
+    LANDING = enum.auto()
+    RESTED = enum.auto()
+
+
+class Flight:
+    """Brings the vehicle to `height` (m, fleet's ENU), at `climb` (m/s) or less, and back to the ground. `go_to` sends
+    a position setpoint; `wanted` are the parameters that matter on a firmware."""
+
+    def __init__(
+        self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, climb: float,
+        go_to: Callable[[Point], None], wanted: Callable[[Firmware], tuple[Wanted, ...]], now: float,
+    ) -> None:  # fmt: skip
+        self._url, self._link, self._telemetry = url, link, telemetry
+        self._fence, self._height, self._climbing = fence, height, climb
+        self._go_to, self._wanted = go_to, wanted
+        self._firmware = telemetry.firmware
+        self._review = Review((), bytewise=False)
+        self._rivalled = False  # it was told that another ground station speaks under our system id
+        self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
+        self.grounded = False  # not to take off, as long as this is set
+        self.withheld = ""  # what speaks against a take-off beside what is known here, in words
+        self.heard: list[Message] = []  # the vehicle's messages that the last poll took
+        self._streams = Streams()
+        self._since = now  # when the present phase began
+        self._begun = self._now = self._polled = now
+        self._restarts = 0
+        self._climb_from = 0.0
+        self._unlimited = ""  # that the autopilot did not accept the limit of its climb, in words
+        self._airborne = False  # it has left the ground: what goes wrong now is not simply begun again
+        self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
+        self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
+        self._taken = False  # by a pilot or a failsafe
+        self.phase = Phase.CONNECTING
+        self._doing = f"waiting for a heartbeat on {url}"
+
+    @property
+    def progress(self) -> str:
+        """What the flight is at, in the autopilot's own words where it refuses something."""
+        if self.phase is Phase.RESTED or self._link.heard is None:
+            return self._doing
+        if not self._link.alive(self._now):
+            return f"no heartbeat on {self._url}; was {self._doing}"
+        silent = self._airborne and self._link.spoke is not None and self._now - self._link.spoke > QUIET
+        return f"nothing comes on {self._url}; was {self._doing}" if silent else self._doing
+
+    def poll(self, now: float) -> None:
+        """Take what has arrived, look, and ask for what comes next. Raises Unready."""
+        self._polled, self._now = self._now, now
+        self.heard = self._link.receive(now)
+        for message in self.heard:
+            self._streams.note(message.get_msgId(), now)
+            self._telemetry.take(message, now)
+            self._review.take(message)
+        self._link.greet(now)
+        if self.phase is not Phase.RESTED:
+            self._watch(now)
+        if self.phase is not Phase.CONNECTING:
+            self._streams.poll(self._link, self._firmware, now)
+        match self.phase:
+            case Phase.CONNECTING:
+                self._connect(now)
+            case Phase.ESTIMATING:
+                self._estimate(now)
+            case Phase.SWITCHING:
+                self._switch(now)
+            case Phase.ARMING:
+                self._arm(now)
+            case Phase.CLIMBING:
+                self._climb(now)
+            case Phase.FLYING:
+                self._fly(now)
+            case Phase.LANDING:
+                self._land(now)
+            case Phase.RESTED:
+                pass
+
+    def _enter(self, phase: Phase, now: float, progress: str) -> None:
+        self.phase, self._since, self._doing = phase, now, progress
+        for command in COMMANDS:
+            self._link.forget(command)
+
+    def _watch(self, now: float) -> None:
+        """Silence and restarts, in any phase."""
+        silent = now - (self._begun if self._link.heard is None else self._link.heard)
+        if silent > SILENCE:
+            raise unheard(self._url, self._link, silent)
+        if self._telemetry.restarts != self._restarts:
+            self._restarts = self._telemetry.restarts
+            self._streams.restart()
+            if self._airborne and self.phase is not Phase.LANDING:
+                raise Unready("the autopilot restarted in flight")
+            if self.phase in (Phase.ESTIMATING, Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+                self._read_parameters()
+                self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
+
+    def _connect(self, now: float) -> None:
+        if self._link.vehicle is None:
+            return
+        what, firmware = identified(self._link)
+        if firmware is None:
+            raise stranger(self._url, what)
+        self._firmware = self._telemetry.firmware = firmware
+        self._read_parameters()
+        self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
+
+    def _read_parameters(self) -> None:
+        self._review = Review(self._wanted(self._firmware), self._firmware.bytewise)
+
+    def _estimate(self, now: float) -> None:
+        state = self._telemetry
+        self._review.poll(self._link, now)
+        told = None not in (state.yaw, state.landed, state.mode)
+        if state.position is None or not state.fresh(now) or not told:
+            if differing := self._review.news():  # it may be why there is no estimate
+                self._doing = f"waiting for its position estimate; {differing}"
+            return
+        if self._link.crowded(now):
+            others = ", ".join(map(str, sorted(self._link.others)))
+            self._doing = (
+                f"another autopilot{f' (system {others})' if others else ''} sends to {self._url}: waiting until only "
+                "this robot's does; the setting `system` says which of several is this robot's"
+            )
+        elif state.flying:
+            self._take_over(now)
+        elif fault := self.withheld or misplaced(self._fence, self._height, state.position) or self._review.forbids:
+            self._doing = f"not taking off: {fault}"
+        elif not self._review.known:
+            self._doing = "reading the autopilot's parameters"
+        elif differing := self._review.news():
+            self._doing = differing
+        elif self._link.rivalled(now) and not self._rivalled:
+            self._rivalled, self._doing = True, RIVAL
+        elif self.grounded:
+            self._doing = "ready to take off, waiting for the fleet"
+        else:
+            self._setpoint = None
+            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
+
+    def _take_over(self, now: float) -> None:
+        """It flies already: an agent before us died, perhaps."""
+        state = self._telemetry
+        if state.mode == self._firmware.follows:
+            self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
+        elif self._ends_itself:
+            self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
+        else:
+            wanted = self._firmware.mode(self._firmware.follows)
+            raise Unready(f"already flying in {state.mode_name}", f"land it first, or switch it to {wanted}")
+
+    @property
+    def _ends_itself(self) -> bool:
+        """Whether the mode is one that ends on the ground by itself."""
+        return self._telemetry.mode == self._firmware.lands or self._telemetry.mode in self._firmware.returns
+
+    def _switch(self, now: float) -> None:
+        self._call()
+        if self._telemetry.mode == self._firmware.follows and self._telemetry.mode_time > self._since:
+            self._enter(Phase.ARMING, now, "arming")
+        elif not self._firmware.rises or now - self._since >= CALLING:
+            asked = self._set_mode(self._firmware.follows, now)
+            if asked > 1:
+                doing = f"switching to {self._firmware.mode(self._firmware.follows)}"
+                self._doing = self._explained(doing, mavlink.MAV_CMD_DO_SET_MODE, now)
+
+    def _call(self) -> None:
+        """On the ground, where the firmware takes off by setpoints: they flow already, to a place below, so that no
+        error of the estimate looks like a wish to take off."""
+        if self._firmware.rises and self._telemetry.position is not None:
+            self._setpoint = self._telemetry.position + Point(0.0, 0.0, -0.2)
+            self._go_to(self._setpoint)
+
+    def _lift(self, seconds: float) -> None:
+        """... and rise, as far as the position is known."""
+        if self._setpoint is not None and self._telemetry.fresh(self._now):
+            p, rate = self._setpoint, min(CLIMB, RISING * self._climbing)
+            self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + rate * seconds, self._height)))
+            self._go_to(self._setpoint)
+
+    def _arm(self, now: float) -> None:
+        self._call()
+        if self._telemetry.mode != self._firmware.follows:
+            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
+        elif self._telemetry.armed:
+            self._enter(Phase.CLIMBING, now, "taking off")
+        else:
+            self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
+            self._doing = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
+
+    def _climb(self, now: float) -> None:
+        state = self._telemetry
+        self._lift(now - self._polled)
+        if not state.armed and not self._airborne:
+            said = self._link.reasons(self._since)
+            words = f"disarmed before take-off{': ' if said else ''}{said}"
+            if now - self._since < BY_HAND:
+                raise Unready(words, "a person or a failsafe did; see that all is well and start the agent anew")
+            self._enter(Phase.ARMING, now, f"{words}; arming again")
+        elif self._airborne:
+            self._rise(now)
+        elif state.mode != self._firmware.follows:
+            self._leave_to_them()
+        elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
+            pass  # home, which the take-off's height counts from, has just been set anew
+        elif state.flying:
+            self._airborne = True
+        elif self._firmware.rises:
+            self._climb_from = state.position.z
+            self._doing = "taking off"
+        elif self._climb_limited(now):
+            self._climb_from = state.position.z
+            # Height above home: home's own is what the two heights of one message differ by.
+            above_home = self._height - state.position.z + state.relative
+            self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
+            self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
+
+    def _climb_limited(self, now: float) -> bool:
+        """Ask an ArduPilot to climb within the limit; by itself it takes WP_SPD_UP (2.5 m/s) and as much as the height
+        allows. Return whether it does, or was asked for often enough. The limit holds for this take-off only."""
+        asked = self._link.ask(now, mavlink.MAV_CMD_DO_CHANGE_SPEED, CLIMB_SPEED, self._climbing, -1.0, every=0.5)
+        if asked.result == mavlink.MAV_RESULT_ACCEPTED:
+            self._unlimited = ""
+            return True
+        self._unlimited = f"; the autopilot does not limit its climb to {self._climbing:g} m/s"
+        return asked.times >= ASKED
+
+    def _rise(self, now: float) -> None:
+        state = self._telemetry
+        self._keep(now)
+        self._doing = f"climbing to {self._height:g} m{self._unlimited}"
+        if state.position is None or not state.fresh(now):
+            lost = now - (state.time or self._since)
+            if lost > BLIND:
+                raise Unready(f"no position for {lost:.1f} s while climbing", "look at the positioning source")
+            return
+        height, climb = state.position.z, self._height - self._climb_from
+        stopped = abs(state.velocity.z) < STILL and height - self._climb_from > 0.5 * climb
+        if height > self._height - min(AT_HEIGHT, 0.2 * climb) or stopped:
+            self._enter(Phase.FLYING, now, "flying")
+
+    def _fly(self, now: float) -> None:
+        self._keep(now)
+        self._airborne = True
+        self._doing = "flying"
+
+    def _keep(self, now: float) -> None:
+        """In the air: the vehicle must be armed, and ours."""
+        if not self._telemetry.armed:
+            said = self._link.reasons(now - 10.0)
+            raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
+        if self._telemetry.mode != self._firmware.follows:
+            self._leave_to_them()
+
+    def _leave_to_them(self) -> NoReturn:
+        self._taken = True
+        raise Unready(
+            f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
+            "the agent leaves it to them",
+        )
+
+    def rest(self, now: float) -> None:
+        """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
+        left as it is; unless it flies for an agent before us that is no more."""
+        state = self._telemetry
+        orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
+        if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
+            self._enter(Phase.RESTED, now, "nothing was moved")
+        elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
+            self._enter(Phase.LANDING, now, "landing")
+
+    def _land(self, now: float) -> None:
+        state = self._telemetry
+        # An arming that is still on its way must not catch us asleep: only a later heartbeat says that all is quiet.
+        if not state.armed and state.mode_time > self._since + 1.0:
+            self._enter(Phase.RESTED, now, "at rest, disarmed")
+            return
+        ends_itself, lands = self._ends_itself, self._firmware.lands
+        if self._landing_seen and not ends_itself:
+            self._taken = True
+        if self._taken and not ends_itself:
+            self._enter(Phase.RESTED, now, f"left to whoever switched it to {state.mode_name}")
+            return
+        if ends_itself:
+            self._landing_seen = True
+            self._link.forget(mavlink.MAV_CMD_DO_SET_MODE)
+            self._doing = "landing"
+        else:
+            self._set_mode(lands, now)
+            self._doing = self._explained("switching to LAND", mavlink.MAV_CMD_DO_SET_MODE, now)
+        self._touch_down(now)
+
+    def _touch_down(self, now: float) -> None:
+        """Disarm, without force, a vehicle that is on the ground but does not do so by itself: without a remote
+        control ArduPilot's LAND may wait for ever (LAND_REPOSITION). In flight it refuses to."""
+        state = self._telemetry
+        down = state.landed == _ON_GROUND
+        if state.mode == self._firmware.lands and state.fresh(now):
+            down |= math.hypot(state.velocity.x, state.velocity.y, state.velocity.z) < STILL
+        if not down:
+            self._grounded = None
+            return
+        self._grounded = now if self._grounded is None else self._grounded
+        if now - self._grounded > PATIENCE:
+            self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+            self._doing = self._explained(
+                "on the ground but still armed: disarming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now
+            )
+
+    def _set_mode(self, mode: int, now: float) -> int:
+        """How often it was asked for in this phase."""
+        return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.ask_mode(mode)).times
+
+    def _explained(self, doing: str, command: int, now: float) -> str:
+        """What is being done, the answer to it, and the autopilot's own words."""
+        asked = self._link.asked(command)
+        if asked is None or (asked.result is None and asked.times < 3):
+            return doing
+        if asked.result == mavlink.MAV_RESULT_ACCEPTED:
+            return doing
+        answer = "no answer" if asked.result is None else RESULTS.get(asked.result, f"result {asked.result}")
+        said = self._link.reasons(max(self._since, now - 35.0))  # ArduPilot repeats its pre-arm faults every 30 s
+        return f"{doing}: {answer}{': ' if said else ''}{said}"

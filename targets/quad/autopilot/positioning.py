@@ -1,0 +1,229 @@
+"""Where a vehicle gets its position from, if not by itself: sealed poses of a base station, passed on to its autopilot.
+
+`gps_input` sends fixes as a GPS does, 8 a second; `vision` and `odometry` send poses, 20 a second. Autopilots notice
+only after 7 to 8 seconds that such a source is gone, so it is watched here: whether it is fresh, whether it jumps, and
+whether the autopilot's estimate follows it. What is in doubt holds the vehicle at once, and soon lands it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Pose, distance
+from koordgen.runtime.vehicle.datagrams import DatagramLink, waiting
+from koordgen.runtime.vehicle.feed import Feed
+from koordgen.runtime.vehicle.platform import Finding, Unready
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
+from targets.quad.autopilot.check import coordinates
+from targets.quad.autopilot.external import gps_input, odometry, vision
+from targets.quad.autopilot.firmware import Firmware
+from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.origin import Origin
+from targets.quad.autopilot.telemetry import Telemetry
+from targets.quad.autopilot.track import Track
+
+PERIODS = {"gps_input": 0.125, "vision": 0.05, "odometry": 0.05}  # seconds between two messages
+STALE = 0.3  # seconds; an older sample is not passed on, and the vehicle holds
+CLIMBING = 0.5  # seconds of doubt that end a climb
+JUMPED = 1.0  # seconds of nothing but jumps after which the source is no longer waited for
+APART, LAG = 0.5, 0.2  # metres and seconds: the estimate may be off by APART and by what is flown in LAG
+HEIGHT = 0.1  # metres by which the heights of estimate and source may differ before a take-off
+PATIENCE = 60.0  # seconds for the first sample: a base station may be started after the robots
+_JITTER = 0.005  # seconds by which a poll may come early
+LEAST_RATE = 15.0  # Hz
+_IN_FLIGHT = (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING, Phase.FLYING)
+
+
+class Positioning:
+    """Polled after the flight. `vouched` is the latest time (the agent's clock) of which it is known that source and
+    estimate were right; `doubt` says in words why they may not be now, "" when nothing speaks against them."""
+
+    def __init__(
+        self, mode: str, setting: str, settings: Settings, key: bytes | None, frame: LocalFrame, max_speed: float,
+        bind: Callable[[str], DatagramLink], wall: Callable[[], float],
+    ) -> None:  # fmt: skip
+        """`bind` opens the port that `setting` names; `wall` is the time of day, seconds since 1970."""
+        self._mode, self._setting, self._frame, self._bind, self._wall = mode, setting, frame, bind, wall
+        self._lost = settings.safety.position_lost
+        self._feed = Feed(settings.robot, key, settings.application_id)
+        self._track = Track(max_speed)
+        o = settings.origin
+        self._origin = Origin(frame, (o.latitude, o.longitude, o.altitude))
+        self._datagrams: DatagramLink | None = None
+        self._began = 0.0
+        self._unix = 0.0  # time of day minus the agent's clock: read once, so that fixes follow one another evenly
+        self._next = self._sent = -math.inf
+        self._taken = 0  # samples since it was opened
+        self._carried = 0  # how often the vehicle was carried elsewhere, on the ground
+        self.vouched: float | None = None
+        self.doubt = self._waiting()
+        self.held = True  # whether the vehicle must not move by its estimate now
+
+    def open(self, now: float) -> None:
+        """Bind the feed's port, if it is not bound. Raises Unready."""
+        if self._datagrams is None:
+            self._datagrams = self._bind(self._setting)
+            self._feed.hear(self._datagrams)
+        self._began, self._unix, self._taken = now, self._wall() - now, 0
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        return self._feed.news()
+
+    def close(self) -> None:
+        """Give the port back. Idempotent."""
+        if self._datagrams is not None:
+            self._datagrams.close()
+            self._datagrams = None
+
+    def wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
+        """The parameters that matter for this way of positioning. Raises Unready when the firmware has not got it."""
+        if self._mode not in firmware.positioning:
+            there_are = ", ".join(firmware.positioning)
+            raise Unready(f"{firmware.name} takes no positioning {self._mode!r}", f"it takes: own, {there_are}")
+        return firmware.positioning[self._mode]
+
+    def tried(self, now: float) -> list[Finding]:
+        """`open` for a platform's `diagnose`: nothing, or why it could not be."""
+        try:
+            self.open(now)
+        except Unready as error:
+            return [Finding.of("feed", error)]
+        return []
+
+    def attend(self, link: Link, messages: Iterable[Message], now: float) -> None:
+        """Take the vehicle's messages, and pass the source on."""
+        for message in messages:
+            self._origin.take(message)
+        self._pass_on(link, now)
+
+    def _pass_on(self, link: Link, now: float) -> None:
+        """Take the samples that have arrived, and send the newest to the autopilot when that is due."""
+        for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
+            if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+                self._taken += 1
+                self._track.take(self._feed.pose, self._feed.time)
+        track = self._track
+        if self._mode != "gps_input":
+            self._origin.poll(link, track.pose, now)
+            if not self._origin.known:
+                return
+        fresh = track.time > self._sent and now - track.time <= STALE
+        if link.vehicle is None or track.pose is None or not fresh or now < self._next - _JITTER:
+            return
+        self._next = max(self._next, now - PERIODS[self._mode]) + PERIODS[self._mode]
+        self._sent = track.time
+        link.send(self._message(link, track.pose))
+
+    def _message(self, link: Link, pose: Pose) -> Message:
+        track, ned, resets = self._track, self._origin.ned, self._origin.resets + self._carried
+        match self._mode:
+            case "gps_input":
+                return gps_input(self._frame, pose, track.velocity, self._unix + track.time)
+            case "vision":
+                return vision(ned, pose, track.time, resets)
+            case _:
+                assert link.vehicle is not None
+                return odometry(ned, pose, track.velocity, track.time, resets, link.vehicle.autopilot)
+
+    def poll(self, link: Link, flight: Flight, state: Telemetry, now: float) -> None:
+        """Pass the source on, and watch it. Raises Unready when it cannot be flown by any more."""
+        self.attend(link, flight.heard, now)
+        grounded = flight.phase in (Phase.CONNECTING, Phase.ESTIMATING)
+        if grounded and self._track.refused(now) > JUMPED:
+            self._track.forget()
+            self._carried += 1
+        self._judge(state, grounded and not state.flying, now)
+        flight.withheld = self.doubt or ("" if self.vouched is not None else "estimate and source are not compared yet")
+        if flight.phase in _IN_FLIGHT:
+            self._give_up(flight.phase, now)
+        elif grounded and self._feed.time is None and now - self._began > PATIENCE:
+            raise Unready(*self._feed.silent(self._setting, now - self._began))
+
+    def _judge(self, state: Telemetry, grounded: bool, now: float) -> None:
+        track = self._track
+        self.doubt = self._waiting() if track.pose is None else ""
+        if track.refused(now) > 0.0:
+            self.doubt = "the position source jumped"
+        elif track.pose is not None and now - track.time > STALE:
+            self.doubt = f"no fresh position has come on {self._setting}"
+        elif (off := self._apart(state)) is not None:
+            v = track.velocity
+            if off > APART + LAG * math.hypot(v.x, v.y, v.z):
+                self.doubt = f"the autopilot's estimate is {off:.1f} m from the position source"
+            elif grounded and (differing := self._heights(state)):
+                self.doubt = differing
+            else:
+                self.vouched = track.time
+        self.held = self.vouched is None or now - self.vouched > STALE
+
+    def _apart(self, state: Telemetry) -> float | None:
+        """Metres from the estimate to where the source was then; None when that is not known."""
+        there = self._track.at(state.time) if state.time is not None else None
+        return distance(state.position, there) if state.position is not None and there is not None else None
+
+    def _heights(self, state: Telemetry) -> str:
+        """The difference of the heights of estimate and source, in words, when it is too large for a take-off."""
+        there = self._track.at(state.time) if state.time is not None else None
+        if state.position is None or there is None or abs(up := state.position.z - there.z) <= HEIGHT:
+            return ""
+        side = "above" if up > 0 else "below"
+        return (
+            f"the autopilot's height is {abs(up):.2f} m {side} the position source's, more than {HEIGHT:g} m: "
+            "restart the autopilot, so that the agent can set its origin anew"
+        )
+
+    def _give_up(self, phase: Phase, now: float) -> None:
+        jumped = self._track.refused(now)
+        if jumped > JUMPED:
+            hint = "did the motion capture system mistake one body for another, or lose markers? Begin again"
+            raise Unready(f"position source jumped: nothing else has come for {jumped:.1f} s", hint)
+        unsure = now - (self._began if self.vouched is None else self.vouched)
+        if unsure > (CLIMBING if phase is Phase.CLIMBING else self._lost) and self.doubt:
+            raise Unready(
+                f"{self.doubt} for {unsure:.1f} s",
+                "look at the base station, its network, and the autopilot's parameters",
+            )
+
+    def _waiting(self) -> str:
+        return f"waiting for the position feed on {self._setting}{self._feed.dropped}"
+
+    def findings(self, state: Telemetry, now: float) -> list[Finding]:
+        """For a platform's `diagnose`, after samples were passed on since `open`: whether they come as they should, and
+        whether the autopilot's estimate is where they are."""
+        feed, seconds = self._feed, max(now - self._began, 0.1)
+        if feed.pose is None:
+            return [Finding.of("feed", Unready(*feed.silent(self._setting, seconds)))]
+        rate, age = self._taken / seconds, now - self._track.time
+        place = coordinates(feed.pose.position)
+        found = f"{rate:.0f} Hz on {self._setting}, {age * 1e3:.0f} ms old: {place} m{feed.dropped}"
+        if self._track.jumps:
+            why = "it would land the robot: look at the markers and at the base station's network"
+            return [Finding("feed", "fail", f"{found}; {self._track.jumps} samples jumped", "none that jumps", why)]
+        if age > STALE:
+            why = "it has fallen silent, which would land the robot: look at the base station and its network"
+            return [Finding("feed", "fail", found, f"not older than {STALE * 1e3:.0f} ms", why)]
+        if rate < LEAST_RATE:
+            why = "the autopilot flies less exactly: raise the base station's rate"
+            came = Finding("feed", "warn", found, f"{LEAST_RATE:g} Hz or more", why)
+        else:
+            came = Finding("feed", "ok", found)
+        return [came, *self._followed(state)]
+
+    def _followed(self, state: Telemetry) -> list[Finding]:
+        """How far the estimate is from the source; nothing without one, which is told elsewhere."""
+        if (off := self._apart(state)) is None:
+            return []
+        told = f"{off:.2f} m from the position source"
+        if off > APART:
+            why = "it would not take off: the fleet's origin, or the autopilot's parameters for its source, are wrong"
+            return [Finding("followed", "fail", told, f"within {APART:g} m", why)]
+        if not state.flying and (differing := self._heights(state)):
+            why = "it would fly as much too low or too high"
+            return [Finding("followed", "fail", differing, f"heights within {HEIGHT:g} m", why)]
+        return [Finding("followed", "ok", told)]

@@ -1,0 +1,91 @@
+"""The place to land at: beside other robots, not on them.
+
+A quad that comes to rest above a place or a path that another robot has published moves aside first, to the nearest
+free place, for SECONDS at most. Metres, seconds, local ENU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Protocol
+
+from koordgen.runtime.values.geometry import path_distance
+from koordgen.runtime.values.points import Point
+from targets.planning.world import Path
+from targets.quad.motion.reference import STANDING
+from targets.quad.motion.trajectory import norm
+
+FARTHEST, STEP = 1.6, 0.2  # m from the quad to the places that are looked at, and from one ring of them to the next
+DIRECTIONS = 16
+TURN = 2.4  # rad by which the first direction differs from robot to robot, lest two choose the same place
+SECONDS = 8.0  # that the way aside may take; then the quad lands where it is
+THERE = 0.15  # m from the place at which it lands
+
+
+class Surroundings(Protocol):
+    """The geofence and the obstacles around the quad."""
+
+    def may_land(self, position: Point, place: Point) -> bool:
+        """Return whether a quad may fly straight to a place and land there, as far as fence and obstacles go."""
+        ...
+
+
+class Landing:
+    """Choice of one robot's landing place. Robots keep a horizontal distance of `apart` metres."""
+
+    def __init__(self, pid: int, apart: float, surroundings: Surroundings) -> None:
+        self._pid, self._apart, self._surroundings = pid, apart, surroundings
+        self._until: float | None = None  # when the quad lands at the latest; None: nothing was chosen yet
+        self._place: Point | None = None
+        self._news: list[str] = []
+
+    def aside(self, position: Point, velocity: Point, others: dict[str, Path], now: float) -> Point | None:
+        """Return the place to fly to before the landing; None: land here. `others` are the published paths by the
+        names of their robots; the first call chooses."""
+        if self._until is None:
+            self._until = now + SECONDS
+            self._place = self._chosen(position, others)
+        place = self._place
+        if place is None or now > self._until:
+            return None
+        if math.hypot(position.x - place.x, position.y - place.y) <= THERE and norm(velocity) < STANDING:
+            return None
+        return place
+
+    def _chosen(self, position: Point, others: dict[str, Path]) -> Point | None:
+        below = [name for name, path in others.items() if self._is_below(path, position)]
+        if not below:
+            return None
+        names = f"robot {', '.join(below)}"
+        place = next((p for p in self._places(position) if self._is_free(position, p, others)), None)
+        if place is None:
+            self._news.append(f"landing above a path of {names}: there is no free place within {FARTHEST:g} m")
+        else:
+            self._news.append(f"{names} may be below: moving to ({place.x:.2f}, {place.y:.2f}) before the landing")
+        return place
+
+    def _is_below(self, path: Path, position: Point) -> bool:
+        """Return whether the quad would come down on a path: half a body's height or more under it."""
+        lower = min(p.z for p in path) < position.z - self._apart / 4
+        return lower and _from_above(path, position) < self._apart
+
+    def _is_free(self, position: Point, place: Point, others: dict[str, Path]) -> bool:
+        apart = all(_from_above(path, place) >= self._apart for path in others.values())
+        return apart and self._surroundings.may_land(position, place)
+
+    def _places(self, position: Point) -> Iterator[Point]:
+        for ring in range(1, round(FARTHEST / STEP) + 1):
+            for i in range(DIRECTIONS):
+                turn = self._pid * TURN + math.tau * i / DIRECTIONS
+                yield position + Point(math.cos(turn), math.sin(turn)) * (ring * STEP)
+
+    def news(self) -> list[str]:
+        """Return what was chosen since the last call, for the log."""
+        told, self._news = self._news, []
+        return told
+
+
+def _from_above(path: Path, place: Point) -> float:
+    """Return the horizontal distance of a place from a path."""
+    return path_distance(tuple(Point(p.x, p.y) for p in path), (Point(place.x, place.y),))

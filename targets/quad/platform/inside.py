@@ -1,0 +1,25 @@
+"""A quad's platform in a simulator that owns time."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.vehicle.inside import Inside
+from targets.mavlink.inside import Direct
+from targets.planning.process import bounded
+from targets.quad.platform.platform import Quad
+
+
+def made(settings: Settings, key: bytes | None, inside: Inside) -> Quad:
+    """See koordgen.runtime.vehicle.inside."""
+    return Quad(
+        settings,
+        key,
+        connect=lambda url: Direct(inside.exchange(url)),
+        bind=inside.exchange,
+        scans=inside.exchange,
+        clock=inside.now,
+        wall=inside.today,
+        planning=partial(bounded, inside),
+    )

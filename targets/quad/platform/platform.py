@@ -1,0 +1,349 @@
+"""A multicopter behind an ArduPilot or PX4 autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
+
+`position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
+and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from koordgen.runtime.config.settings import BadSettings, Settings
+from koordgen.runtime.values.geodesy import LocalFrame
+from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.vehicle.datagrams import DatagramLink
+from koordgen.runtime.vehicle.feed import listen_for_poses
+from koordgen.runtime.vehicle.platform import Finding, Sensed, Unready, Vitals
+from koordgen.runtime.vehicle.safety import clamp, inside
+from koordgen.runtime.vehicle.scans import ScanPort, listen_for_scans
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
+from targets.mavlink.transport import Transport, opened
+from targets.planning.process import Beside
+from targets.planning.route import commanded, passed
+from targets.planning.unplanned import Unplanned
+from targets.quad.autopilot.check import listen
+from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.firmware import Firmware
+from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.positioning import Positioning
+from targets.quad.autopilot.telemetry import Telemetry
+from targets.quad.motion.avoidance import Avoidance, MakePlanning, Size
+from targets.quad.motion.landing import Landing
+from targets.quad.motion.motion import Motion
+from targets.quad.motion.setpoint import Aim, setpoint
+from targets.quad.motion.yaw import heading
+
+MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
+
+
+class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `settings:` of a quad says; the bounds are those of manifest.toml."""
+
+    autopilot: str = "udpin:127.0.0.1:14550"
+    flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
+    max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
+    max_acceleration: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0
+    max_climb: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.7
+    yaw: str = "keep"
+    reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
+    reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
+    scans: str = ""
+    radius: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.2
+    tracking_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.1
+    position_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.05
+    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
+    planner: str = "rrt-smoothed"
+    positioning: Literal["own", "gps_input", "vision", "odometry"] = "own"
+    feed: str = "udp:0.0.0.0:47300"
+    system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0
+    allow_no_failsafe: bool = False
+
+
+def _bind(setting: str) -> DatagramLink:
+    return listen_for_poses("feed", setting)
+
+
+class Quad:
+    """Implements koordgen.runtime.vehicle.platform.Platform. The fleet's key serves feeds alone: the autopilot's link
+    is a wire or loopback. `connect`, `bind`, `scans` and `wall` (the time of day) are what the surroundings give, and
+    for `diagnose` alone `clock` and `sleep`."""
+
+    period = 0.05
+
+    def __init__(
+        self,
+        settings: Settings,
+        key: bytes | None,
+        *,
+        connect: Callable[[str], Transport] = opened,
+        bind: Callable[[str], DatagramLink] = _bind,
+        scans: Callable[[str], DatagramLink] = listen_for_scans,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        wall: Callable[[], float] = time.time,
+        planning: MakePlanning = Beside,
+    ) -> None:
+        try:
+            body = msgspec.convert(settings.body, Body)
+        except msgspec.ValidationError as error:
+            raise BadSettings(f"settings of {settings.robot}: body: {error}") from None
+        fence, origin = settings.geofence, settings.origin
+        if clamp(fence, Point(0.0, 0.0, body.flight_height)).z != body.flight_height:
+            raise BadSettings(
+                f"settings of {settings.robot}: body: flight_height {body.flight_height:g} is outside the geofence"
+            )
+        self._body, self._fence = body, fence
+        self._frame = LocalFrame(origin.latitude, origin.longitude, origin.altitude)
+        self._telemetry = Telemetry(self._frame)
+        try:
+            yaw = heading(body.yaw)
+        except ValueError:
+            raise BadSettings(
+                f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
+            ) from None
+        size = Size(body.radius, body.tracking_error, body.position_error)
+        self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
+        self._motion = Motion(
+            self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
+            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
+        )  # fmt: skip
+        self._landing = Landing(settings.pid, self._avoidance.spacing, self._avoidance)
+        self._steered = False  # whether the last poll steered the quad, and nothing was wrong
+        self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
+        self._lidar = ScanPort(body.scans, settings.robot, key, scans)
+        self._positioning: Positioning | None = None  # None: the vehicle's own
+        if body.positioning != "own":
+            self._positioning = Positioning(
+                body.positioning, body.feed, settings, key, self._frame, body.max_speed, bind, wall
+            )
+        self._link: Link | None = None
+        self._flight: Flight | None = None
+        self._held = False
+        self._now = 0.0
+        self._unplanned = Unplanned()
+
+    def diagnose(self) -> list[Finding]:
+        """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
+        vehicle = self._diagnose_vehicle()
+        return [*vehicle, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
+
+    def _diagnose_vehicle(self) -> list[Finding]:
+        url, positioning = self._body.autopilot, self._positioning
+        try:
+            link = Link(self._connect(url), self._body.system)
+        except Unready as error:
+            return [Finding.of("link", error)]
+
+        def meanwhile(messages: list[Message], now: float) -> None:
+            if positioning is not None:
+                positioning.attend(link, messages, now)
+
+        fed: list[Finding] = []
+        try:
+            if positioning is not None:
+                fed = positioning.tried(self._clock())
+            heard = listen(link, self._frame, self._wanted, meanwhile, self._clock, self._sleep, self._wall)
+        except Unready as error:
+            return [Finding.of("positioning", error)]
+        finally:
+            link.close()
+            if positioning is not None:
+                positioning.close()
+        if positioning is not None and not fed:
+            fed = positioning.findings(heard.telemetry, self._clock())
+        return [*fed, *findings(url, heard, self._frame, self._fence, self._body.flight_height)]
+
+    def start(self, now: float) -> None:
+        """See Platform: opens the links; `poll` then takes off."""
+        url = self._body.autopilot
+        self._now = now
+        self._avoidance.start()
+        self._lidar.open()
+        if self._positioning is not None:
+            self._positioning.open(now)
+        self._link = Link(self._connect(url), self._body.system)
+        self._flight = Flight(
+            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._body.max_climb, self._go_to,
+            self._wanted, now,
+        )  # fmt: skip
+        self._flight.grounded = self._held
+
+    def _go_to(self, p: Point) -> None:
+        if self._link is not None and self._link.vehicle is not None:
+            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, Aim(p)))
+
+    def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
+        """The parameters that matter on this firmware, with these settings."""
+        fed = self._positioning.wanted(firmware) if self._positioning is not None else ()
+        if self._body.allow_no_failsafe:
+            return (*(replace(w, vital=False) for w in firmware.parameters), *fed)
+        return (*firmware.parameters, *fed)
+
+    def poll(self, now: float) -> None:
+        """See Platform."""
+        if self._flight is None or self._link is None:
+            raise Unready("the quad was not started")
+        self._now, self._steered = now, False
+        self._lidar.poll(now)
+        self._avoidance.poll()
+        self._flight.poll(now)
+        if self._positioning is not None:
+            self._positioning.poll(self._link, self._flight, self._telemetry, now)
+            self._motion.hold(self._held or self._positioning.held, now)
+        if self._flight.phase is Phase.CLIMBING:
+            self._motion.rise(self._telemetry, now)
+        elif self._flight.phase is not Phase.FLYING:
+            self._motion.coast(now)
+        elif self._telemetry.fresh(now):
+            self._motion.steer(self._link, self._telemetry, now)
+            self._steered = self._positioning is None or not self._positioning.held
+        else:
+            self._motion.halt(self._link, now)
+
+    @property
+    def ready(self) -> bool:
+        """Standing at flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a
+        lidar."""
+        return (
+            self._flight is not None
+            and self._flight.phase is Phase.FLYING
+            and self._link is not None
+            and self._link.alive(self._now)
+            and self._telemetry.fresh(self._now)
+            and self._motion.followed
+            and self._motion.settled
+            and not self._lidar.waiting
+            and not self._avoidance.waiting
+            and (self._positioning is None or not self._positioning.held)
+        )
+
+    @property
+    def progress(self) -> str:
+        """See Platform; what the autopilot itself says against arming is part of it."""
+        if self._flight is None:
+            return "not started"
+        refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
+        waiting = "".join(f"; {what}" for what in (self._lidar.waiting, self._avoidance.waiting) if what)
+        doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
+        return self._flight.progress + doubt + waiting + refused
+
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._held or self.rested:
+            return ""
+        idle = self._unplanned.why(self._now) if self._motion.reached else ""
+        return self._avoidance.refusal or self._motion.stall or idle
+
+    def sense(self, now: float) -> Sensed:
+        """See Platform. Before the first estimate the position is the origin, and `time` is None."""
+        state = self._telemetry
+        reached = self._motion.reached and not self._avoidance.refusal
+        ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": reached}
+        values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
+        values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
+        return Sensed(values, self._vouched)
+
+    @property
+    def vitals(self) -> Vitals:
+        """See Examined."""
+        return Vitals(self._telemetry.yaw, self._telemetry.battery)
+
+    @property
+    def _vouched(self) -> float | None:
+        """When the position was known to be right last: told by the autopilot, and by its source where that is ours."""
+        told = self._telemetry.time
+        if self._positioning is None or told is None:
+            return told
+        return None if self._positioning.vouched is None else min(told, self._positioning.vouched)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Platform. What is not finite is refused, counted and shown in `progress`; instead of what leads into an
+        obstacle of the fleet file the quad holds, and says so."""
+        for points in commanded(actuators, MODULES):
+            self._command(points, now)
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes. The leg to the next point is planned if it is not clear."""
+        position = self._telemetry.position
+        for points in commanded(actuators, MODULES):
+            if position is not None and points and transmissible(points):
+                self._command(points, now, passed(points, position))
+            else:
+                self._command(points, now)
+
+    def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
+        """Fly by these points if they may be flown by; `behind` says how many a quad that resumes has passed."""
+        if points:
+            self._unplanned.commanded()
+        held, avoidance = self._avoidance.refusal, self._avoidance
+        if behind is None:
+            admitted = avoidance.admits(self._telemetry.position, points)
+        else:
+            admitted = avoidance.resumes(points, behind)
+        if admitted:
+            self._motion.command(points, now, behind)
+        elif not held:
+            self._motion.command((), now)
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """See Platform. The only one is `planner(goal, obstacles)`."""
+        path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform."""
+        self._avoidance.others(paths)
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        told = self._positioning.news() if self._positioning is not None else []
+        return [*told, *self._avoidance.news(), *self._motion.news(), *self._landing.news()]
+
+    def hold(self, on: bool, now: float) -> None:
+        """See Platform."""
+        self._held = on
+        self._motion.hold(on or (self._positioning is not None and self._positioning.held), now)
+        if self._flight is not None:
+            self._flight.grounded = on
+
+    def rest(self, now: float) -> None:
+        """See Platform: lands, beside what other robots have published. A vehicle that a pilot or a failsafe has taken
+        is left to them."""
+        if self._flight is not None and not self._moves_aside(now):
+            self._flight.rest(now)
+
+    def _moves_aside(self, now: float) -> bool:
+        """Return whether the quad flies to another place to land, because a robot may be below."""
+        position = self._telemetry.position
+        if not self._steered or position is None or not inside(self._fence, position):
+            return False
+        place = self._landing.aside(position, self._telemetry.velocity, self._avoidance.published, now)
+        if place is not None:
+            self._held = False
+            self._motion.hold(False, now)
+            self._motion.command((place,), now)
+        return place is not None
+
+    @property
+    def rested(self) -> bool:
+        """Landed and disarmed, or in another's hands, or never touched."""
+        return self._flight is None or self._flight.phase is Phase.RESTED
+
+    def close(self) -> None:
+        """See Platform."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        self._lidar.close()
+        self._avoidance.close()
+        if self._positioning is not None:
+            self._positioning.close()

@@ -1,0 +1,6 @@
+"""Autopilots: devices in place of real ones.
+
+Owns: simulated ArduPilot and PX4 copters, rovers, VESCs, and the link to a real ArduPilot.
+Offers: devices, made by `run.stage`.
+Must not import: runs, traces, or any room above them.
+"""

@@ -1,0 +1,226 @@
+"""A simulated copter, ArduPilot's or PX4's: speaks MAVLink 2 to a robot's agent and flies a body."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.values.geodesy import LocalFrame
+from targets.sim.autopilots.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
+from targets.sim.autopilots.mavlink_estimate import Estimator
+from targets.sim.autopilots.mavlink_params import DEVELOPMENT, VERSION, Parameters
+from targets.sim.autopilots.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
+from targets.sim.autopilots.mavlink_reports import Reports
+from targets.sim.autopilots.mavlink_setpoints import reposition, take_setpoint
+from targets.sim.autopilots.mavlink_telemetry import Message, Telemetry
+from targets.sim.base.bodies import DeviceContext, Quadrotor
+from targets.sim.base.ports import Port
+from targets.sim.base.scenario import BadScenario
+from targets.sim.base.upset import Upset
+
+REAL_BOOT = 42.0  # seconds of a cold start, as observed
+SPIN = math.radians(60)  # rad/s, as observed on a build with the fault that `Copter.spins` describes
+_SETPOINTS = (
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+)
+_HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
+
+
+class SimulatedAutopilot:
+    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `spool_up` (s, of an ArduPilot),
+    `firmware`, `version` (of ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an
+    error that wanders, as that of a real estimate does). The robot's own `positioning` says what its parameters were
+    set for: without a GPS of its own it believes what it is told. `copter` is its inner state, for tests and scenarios
+    to upset."""
+
+    def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
+        self._body = body
+        self._frame = LocalFrame(*context.origin)
+        self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._mavlink.robust_parsing = True
+        self._last: float | None = None
+        self._dead = False  # its process has aborted: silence, and no thrust
+        self.dropped = 0  # datagrams and messages that were damaged or not for us
+        harness = context.harness
+        boot = harness.get("boot", 3.0)
+        boot = REAL_BOOT if boot == "real" else _seconds("boot", boot, 600.0, ", or `real`")
+        positioning = str(context.settings.get("positioning", ""))
+        params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
+        firmware = str(harness.get("firmware", "ardupilot"))
+        spool_up = _seconds("spool_up", harness.get("spool_up", SPOOL_UP), 10.0)
+        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.upset)
+        noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
+        self.copter.estimator = self._estimator = Estimator(
+            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
+        )
+        self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
+        self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
+        self.overrides: Mapping[str, Any] = {}
+        if port is None:
+            port = context.wiring.port()
+            self.overrides = {"autopilot": f"udpin:127.0.0.1:{port.number}"}
+        self._port = port
+
+    def _firmware(
+        self, name: str, boot: float, spool_up: float, params: Parameters, upset: Upset
+    ) -> tuple[Copter, Reports, Mapping[int, float]]:
+        """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
+        if name == "ardupilot":
+            copter = Copter(boot, params, spool_up)
+            return copter, Reports(copter, self._frame, upset), _HEARTBEATS
+        if name == "px4":
+            px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
+            return px4, Px4Reports(px4, self._frame, upset), STREAMS
+        raise BadScenario(f"firmware is {name!r}", "there are: ardupilot, px4")
+
+    def step(self, now: float) -> None:
+        """See Device."""
+        if self._dead:
+            self._port.receive()
+            return
+        dt = 0.0 if self._last is None else max(0.0, min(now - self._last, 0.1))
+        self._last = now
+        self._estimator.step(self._body.state(), now, dt)
+        if self._receive(now):
+            self._fly(now, dt)
+            if self._listed:
+                self._answer_param(self._listed.popleft())
+            self._telemetry.step(now)
+
+    def close(self) -> None:
+        """See Device."""
+        self._port.close()
+
+    def _receive(self, now: float) -> bool:
+        """Obey what has come; False when that was the end."""
+        for datagram in self._port.receive():
+            for message in self._decoded(datagram):
+                self._take(message, now)
+        return not self._dead
+
+    def _fly(self, now: float, dt: float) -> None:
+        copter, estimate = self.copter, self._estimator.estimate
+        copter.volts = self._reports.volts
+        copter.watch(now)
+        self._body.motors(copter.armed)
+        if not copter.armed:
+            return
+        guidance = copter.guidance
+        if copter.landed:
+            guidance.rest()
+            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
+        elif dt > 0.0:
+            acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
+            turning = guidance.turning(estimate.yaw, dt)
+            self._body.accelerate(acceleration, SPIN if copter.spins else turning)
+
+    def _decoded(self, datagram: bytes) -> list[Message]:
+        self._mavlink.buf.clear()
+        self._mavlink.buf_index = 0
+        try:
+            messages = self._mavlink.parse_buffer(datagram) or []
+        except Exception:  # generated code on hostile bytes
+            self.dropped += 1
+            return []
+        good = [m for m in messages if m.get_msgId() >= 0]
+        self.dropped += len(messages) - len(good)
+        return good
+
+    def _send(self, message: Message) -> None:
+        self._port.send(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+
+    def _take(self, message: Message, now: float) -> None:
+        if getattr(message, "target_system", 0) not in (0, 1):
+            self.dropped += 1
+            return
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self.copter.heard_heartbeat(message.get_srcSystem(), now)
+            case mavlink.MAVLINK_MSG_ID_COMMAND_LONG | mavlink.MAVLINK_MSG_ID_COMMAND_INT:
+                self._send(
+                    mavlink.MAVLink_command_ack_message(
+                        message.command, self._command(message, now), 0, 0,
+                        message.get_srcSystem(), message.get_srcComponent(),
+                    )
+                )  # fmt: skip
+            case number if number in _SETPOINTS:
+                if not take_setpoint(message, self.copter, self._frame, now):
+                    self._dead = True
+                    self._body.motors(False)
+            case _:
+                self._take_feed(message, now)
+                self._take_param(message)
+
+    def _take_feed(self, message: Message, now: float) -> None:
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_GPS_INPUT:
+                self._estimator.take_gps(message, now)
+            case mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
+                self._estimator.take_vision((message.x, message.y, message.z), message.yaw, now)
+            case mavlink.MAVLINK_MSG_ID_ODOMETRY:
+                known = message.frame_id in self.copter.odometry_frames
+                if known and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
+                    w, x, y, z = message.q
+                    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+                    self._estimator.take_vision((message.x, message.y, message.z), yaw, now)
+            case mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+                self._estimator.take_origin(message)
+
+    def _take_param(self, message: Message) -> None:
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
+                self._answer_param(message.param_id, message.param_index)
+            case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
+                self._listed.extend(self.copter.params)
+            case mavlink.MAVLINK_MSG_ID_PARAM_SET:
+                if self.copter.params.change(message.param_id, message.param_value):
+                    self._answer_param(message.param_id)
+
+    def _answer_param(self, name: str, index: int = -1) -> None:
+        """An unknown parameter never answers."""
+        told = self.copter.params.told(name, index)
+        if told is not None:
+            self._send(told)
+
+    def _command(self, message: Message, now: float) -> int:
+        """A MAV_RESULT."""
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT:
+            if message.command == mavlink.MAV_CMD_DO_REPOSITION:
+                return reposition(message, self.copter, self._frame, now)
+            message.param7 = message.z
+        p1, p2 = message.param1, message.param2
+        match message.command:
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if math.isfinite(p1):
+                return self._telemetry.ask(int(p1), p2, now)
+            case mavlink.MAV_CMD_REQUEST_MESSAGE if math.isfinite(p1):
+                return self._telemetry.once(int(p1), now)
+            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                self._telemetry.once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, now)
+                return ACCEPTED
+        result = self.copter.command(message, now)
+        return UNSUPPORTED if result is None else result
+
+
+def _version(text: str) -> str:
+    """What the setting `version` says. Raises BadScenario."""
+    major, _, minor = text.removesuffix(DEVELOPMENT).partition(".")
+    if not (major.isdecimal() and minor.isdecimal()):
+        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7 or 4.7-dev")
+    return text
+
+
+def _seconds(name: str, value: Any, most: float, words: str = "") -> float:
+    """What a setting says that takes seconds, 0 to `most`. Raises BadScenario."""
+    try:
+        seconds = float(value)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds <= most:
+        raise BadScenario(f"{name} is {value!r}", f"give seconds, 0 to {most:g}{words}")
+    return seconds

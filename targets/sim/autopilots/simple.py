@@ -1,0 +1,163 @@
+"""Devices of robots of fidelity `simple`: nothing stands between the agent's platform and the body.
+
+The platform that the agent gets for such a robot asks the device here, which is the body with the errors of positions,
+and with what a robot does whose agent has fallen silent: a quad stops, and lands later; a car brakes. In lockstep it
+asks directly; in real time by datagrams, from a process of its own (simple_agent.py).
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import msgspec
+
+from targets.sim.base.bodies import Asked, BodyState, DeviceContext, Vector
+from targets.sim.base.ports import Loopback
+from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+
+HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad stops, and lands, as an autopilot does
+BRAKING = 0.15  # s without a command after which a car brakes, as its watchdog does
+SINKING, GROUND = 0.5, 0.02  # m/s, m
+TOLD_EVERY = 0.02  # s
+_encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Asked).decode
+
+
+class Direct(ABC):
+    """targets.sim.base.bodies.Device. `platform` makes the agent's, in this process."""
+
+    module: ClassVar[str]  # that has the platform, with a function `inside` that makes it in lockstep
+    member: ClassVar[str]  # its class
+    takes: ClassVar[Mapping[str, int]]  # what may be asked of the body, and how many numbers come with it
+
+    def __init__(self, body: SimpleQuadrotor | SimpleCar, context: DeviceContext) -> None:
+        self._seen = body
+        self._noise = float(context.harness.get("position_noise", 0.0))
+        self._dice = random.Random(f"{context.seed}/{context.robot}/simple")
+        self._upset = context.upset
+        self._now, self._heard = 0.0, 0.0
+        self.overrides: Mapping[str, Any] = {}
+        self._port = context.wiring.port() if isinstance(context.wiring, Loopback) else None
+        self._next = 0.0
+
+    @property
+    def agent(self) -> tuple[str, str] | None:
+        """What simple_agent.py is to be told: the platform, and the port."""
+        return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
+
+    def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
+        """See koordgen.runtime.vehicle.inside."""
+        make: Callable[..., Any] = importlib.import_module(self.module).inside
+        return make(settings, key, inside, self)
+
+    def state(self) -> BodyState | None:
+        """Where the body is taken to be; None: that is not known now."""
+        truth = self._upset.late(self._now, self._seen.state())
+        place = self._upset.measured(truth.position, self._noise, self._dice)
+        return None if place is None else BodyState(place, truth.velocity, truth.yaw, truth.yaw_rate)
+
+    def step(self, now: float) -> None:
+        """See Device."""
+        self._now = now
+        if self._port is None:
+            return
+        for datagram in self._port.receive():
+            self._obey(datagram)
+        if now >= self._next:
+            self._next = max(self._next + TOLD_EVERY, now)
+            seen = self.state()
+            if seen is not None:
+                self._port.send(_encode((seen.position, seen.velocity, seen.yaw, seen.yaw_rate)))
+
+    def _obey(self, datagram: bytes) -> None:
+        try:
+            asked = _decode(datagram)
+        except msgspec.DecodeError:
+            return
+        if self.takes.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
+            self.ask(asked.what, asked.values)
+
+    @abstractmethod
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """Pass on what the agent asks of the body."""
+
+    def close(self) -> None:
+        """See Device."""
+        if self._port is not None:
+            self._port.close()
+
+
+class DirectQuad(Direct):
+    """Flies as its platform says."""
+
+    module, member = "targets.quad.platform.simple", "SimpleQuad"
+    takes: ClassVar = {"fly": 4, "motors": 1}
+
+    def __init__(self, body: SimpleQuadrotor, context: DeviceContext) -> None:
+        super().__init__(body, context)
+        self._body = body
+        self._flying = False
+
+    def fly(self, velocity: Vector, yaw_rate: float) -> None:
+        self._heard = self._now
+        self._body.fly(velocity, yaw_rate)
+
+    def motors(self, on: bool) -> None:
+        self._heard, self._flying = self._now, on
+        self._body.motors(on)
+
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """See Direct."""
+        if what == "fly":
+            x, y, z, rate = values
+            self.fly((x, y, z), rate)
+        else:
+            self.motors(values[0] > 0.5)
+
+    def step(self, now: float) -> None:
+        """See Device."""
+        super().step(now)
+        silent = now - self._heard
+        if not self._flying or silent <= HOVERING:
+            return
+        if silent > LANDING and self._body.state().position[2] < GROUND:
+            self._flying = False
+            self._body.motors(False)
+        self._body.fly((0.0, 0.0, -SINKING if silent > LANDING else 0.0), 0.0)
+
+
+class DirectCar(Direct):
+    """Drives as its platform says."""
+
+    module, member = "targets.car.platform.simple", "SimpleCar"
+    takes: ClassVar = {"drive": 2, "brake": 1}
+
+    def __init__(self, body: SimpleCar, context: DeviceContext) -> None:
+        super().__init__(body, context)
+        self._body = body
+        self._braking = float(context.settings.get("braking", 3.0))
+
+    def drive(self, speed: float, steering: float) -> None:
+        self._heard = self._now
+        self._body.drive(speed, steering)
+
+    def brake(self, deceleration: float) -> None:
+        self._heard = self._now
+        self._body.brake(deceleration)
+
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """See Direct."""
+        if what == "drive":
+            self.drive(*values)
+        else:
+            self.brake(*values)
+
+    def step(self, now: float) -> None:
+        """See Device."""
+        super().step(now)
+        if now - self._heard > BRAKING:
+            self._body.brake(self._braking)

@@ -1,0 +1,294 @@
+"""The scenario: `scenario.json` of a sim bundle, typed and checked; who is in the fleet and where each one starts."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point, distance, transmissible
+from targets.sim.base.bodies import Vector
+
+AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"
+PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # what pip calls them
+
+
+FILE = "scenario.json"
+
+
+class BadScenario(Exception):
+    """A file that cannot be used; the message names it and what is wrong, `hint` the way out."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.hint = hint
+
+
+class Origin(msgspec.Struct, frozen=True):
+    """WGS-84 place of the local frame: degrees, and metres above mean sea level."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+
+class Box(msgspec.Struct, frozen=True):
+    """Metres, local ENU."""
+
+    lo: Vector
+    hi: Vector
+
+
+MOST_OBSTACLES = 1000  # as the fleet file allows
+
+
+class Start(msgspec.Struct, frozen=True):
+    """Metres, local ENU; yaw in radians counter-clockwise from east."""
+
+    position: Vector
+    yaw: float = 0.0
+
+
+class Lidar(msgspec.Struct, frozen=True):
+    """`rays` evenly over the full turn, up to `range` (m), `rate` turns a second; `noise` is the standard deviation (m)
+    of ranges: None is that of positions."""
+
+    rays: int = 180
+    range: float = 6.0
+    rate: float = 5.0
+    noise: float | None = None
+
+
+class Sim(msgspec.Struct, frozen=True):
+    """How a robot is simulated. `load` puts the harness's `fidelity` and noise where the file says nothing."""
+
+    fidelity: Literal["full", "simple", ""] = ""
+    lidar: Lidar = Lidar()
+    autopilot: Literal["simulated", "external"] = "simulated"
+
+
+class Wind(msgspec.Struct, frozen=True):
+    """Of the air: mean velocity (m/s, ENU), standard deviation of the gusts in each direction (m/s), and the time (s)
+    in which these change."""
+
+    mean: Vector = (0.0, 0.0, 0.0)
+    gust: float = 0.0
+    correlation: float = 1.0
+
+
+class Marker(msgspec.Struct, frozen=True):
+    """A place of interest (m, ENU), reached within `radius`."""
+
+    name: str
+    position: Vector
+    radius: float = 0.3
+
+
+class MarkerList(msgspec.Struct, frozen=True):
+    """A shared list whose elements at the mission's start are markers, at their field `position` ("": Points)."""
+
+    variable: str
+    position: str = ""
+    radius: float = 0.3
+
+
+class World(msgspec.Struct, frozen=True):
+    """What the world is like. `floor_friction` multiplies what bodies' own friction is on a usual floor."""
+
+    arena: Box | None = None
+    floor_friction: float = 1.0
+    wind: Wind = Wind()
+    markers: tuple[Marker, ...] = ()
+    marker_list: MarkerList | None = None
+
+
+class Robot(msgspec.Struct, frozen=True):
+    """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
+    ones, the settings that body has on the robot, and how it is simulated."""
+
+    name: str
+    pid: int
+    target: str
+    bundle: str
+    body: str
+    device: str
+    start: Start
+    settings: dict[str, Any] = {}
+    inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
+    sim: Sim = Sim()
+
+    @property
+    def external(self) -> bool:
+        """Whether a real autopilot flies it."""
+        return self.sim.autopilot == "external"
+
+
+class Shared(msgspec.Struct, frozen=True):
+    """A shared variable: `allread`, one value of `type` a robot, or `allwrite`, one for all."""
+
+    name: str
+    kind: str
+    type: str
+
+
+class Scenario(msgspec.Struct, frozen=True):
+    """`harness` are the sim target's own settings, as its manifest declares them; `records` the program's record types:
+    each one's fields and their types, in order."""
+
+    app: str
+    source: str
+    program_hash: str
+    delta: float
+    origin: Origin
+    geofence: Box
+    robots: tuple[Robot, ...]
+    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
+    world: World = World()
+    harness: dict[str, Any] = {}
+    # (module of the program, Python module, class) of each driver that agents have.
+    drivers: tuple[tuple[str, str, str], ...] = ()
+    shared: tuple[Shared, ...] = ()
+    records: dict[str, tuple[tuple[str, str], ...]] = {}
+    application_id: int = 0
+    gui: bool = False  # whether the contact engine shows its window: no file says so, but --gui
+
+    @property
+    def engine(self) -> str:
+        """The contact engine that is wanted; see targets/sim/physics/contacts.py."""
+        return str(self.harness.get("engine", AUTO))
+
+    def number(self, setting: str, default: float) -> float:
+        """One of the harness's settings."""
+        return float(self.harness.get(setting, default))
+
+
+def load(root: Path, settings: Path | None = None) -> Scenario:
+    """The scenario of the bundle at `root`; a JSON file may be laid over its harness settings. Raises BadScenario."""
+    path = root / FILE
+    if not path.exists():
+        raise BadScenario(
+            f"{path}: there is none, so nobody knows which robots to simulate",
+            "the bundle was built without a fleet: build it again with --fleet FILE",
+        )
+    try:
+        scenario = msgspec.convert(_object(path), Scenario)
+    except msgspec.ValidationError as error:
+        raise BadScenario(f"{path}: {error}", "build the bundle again") from None
+    _check(path, root, scenario)
+    if settings is not None:
+        scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    if scenario.engine not in (AUTO, *PACKAGES):
+        raise BadScenario(f"engine is {scenario.engine!r}", f"there are: {', '.join((AUTO, *PACKAGES))}")
+    return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
+
+
+def _filled(robot: Robot, scenario: Scenario) -> Robot:
+    """A robot for which the harness's settings hold where its own say nothing. Raises BadScenario."""
+    fidelity = robot.sim.fidelity or scenario.harness.get("fidelity", "full")
+    if fidelity not in ("full", "simple"):
+        raise BadScenario(f"fidelity is {fidelity!r}", "there are: full, simple")
+    lidar = robot.sim.lidar
+    if lidar.noise is None:
+        lidar = msgspec.structs.replace(lidar, noise=scenario.number("position_noise", 0.0))
+    return msgspec.structs.replace(robot, sim=msgspec.structs.replace(robot.sim, fidelity=fidelity, lidar=lidar))
+
+
+def _object(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if not isinstance(value, dict):
+        raise BadScenario(f"{path}: a JSON object is expected")
+    return value
+
+
+def _check(path: Path, root: Path, scenario: Scenario) -> None:
+    names = [robot.name for robot in scenario.robots]
+    if not names or len(set(names)) != len(names):
+        raise BadScenario(f"{path}: the robots need names of their own: {names}")
+    if [robot.pid for robot in scenario.robots] != list(range(len(names))):
+        raise BadScenario(f"{path}: the robots' pids must count from 0")
+    if not (math.isfinite(scenario.delta) and scenario.delta > 0):
+        raise BadScenario(f"{path}: delta is {scenario.delta}")
+    if len(scenario.obstacles) > MOST_OBSTACLES:
+        raise BadScenario(f"{path}: {len(scenario.obstacles)} obstacles; there may be at most {MOST_OBSTACLES}")
+    for number, obstacle in enumerate(scenario.obstacles):
+        if not _solid(obstacle):
+            raise BadScenario(f"{path}: obstacle {number} is none: {obstacle}")
+    for robot in scenario.robots:
+        bundle = (root / robot.bundle).resolve()
+        if not bundle.is_relative_to(root.resolve()) or not (bundle / "__main__.py").is_file():
+            raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is not there", "build the bundle again")
+        if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
+            raise BadScenario(f"{path}: {robot.name}'s start is not finite")
+    check_starts(scenario)
+
+
+def check_starts(scenario: Scenario) -> None:
+    """Before minutes are spent on a fleet that cannot start: all stand in the geofence, in no obstacle, and no two in
+    one place."""
+    hint = "give it another start in the fleet file"
+    taken: dict[Vector, str] = {}
+    for robot in scenario.robots:
+        place = robot.start.position
+        shown = f"({', '.join(f'{v:g}' for v in place)})"
+        for name, box in (("arena", scenario.world.arena), ("geofence", scenario.geofence)):
+            if box is not None and not _inside(box, place):
+                raise BadScenario(f"{robot.name} starts at {shown}, outside the {name}", hint)
+        for number, obstacle in enumerate(scenario.obstacles):
+            if _within(obstacle, Point(*place)):
+                raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)
+        other = taken.setdefault(place, robot.name)
+        if other != robot.name:
+            raise BadScenario(f"{robot.name} starts where {other} does, at {shown}", hint)
+
+
+def _solid(obstacle: Obstacle) -> bool:
+    """Whether an obstacle is one: finite, with an extent, its faces among its vertices."""
+    if not transmissible(obstacle):
+        return False
+    match obstacle:
+        case Block(lo, hi):
+            return lo.x < hi.x and lo.y < hi.y and lo.z < hi.z
+        case Sphere(_, radius):
+            return radius > 0
+        case Cylinder(_, radius, height):
+            return radius > 0 and height > 0
+        case Mesh(vertices, faces):
+            return bool(faces) and all(0 <= i < len(vertices) for face in faces for i in face)
+
+
+def _within(obstacle: Obstacle, p: Point) -> bool:
+    """Whether a place is in a solid; a mesh is a surface, which nothing is in."""
+    match obstacle:
+        case Block(lo, hi):
+            return lo.x <= p.x <= hi.x and lo.y <= p.y <= hi.y and lo.z <= p.z <= hi.z
+        case Sphere(centre, radius):
+            return distance(centre, p) <= radius
+        case Cylinder(base, radius, height):
+            return math.hypot(p.x - base.x, p.y - base.y) <= radius and base.z <= p.z <= base.z + height
+        case Mesh():
+            return False
+
+
+def _inside(box: Box, place: Vector) -> bool:
+    """Whether a place is in a box, its faces included, its corners given in any order."""
+    return all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in zip(box.lo, place, box.hi, strict=True))
+
+
+def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:
+    given = _object(path)
+    for key, value in given.items():
+        if key not in harness:
+            raise BadScenario(f"{path}: no setting {key!r}", f"there are: {', '.join(sorted(harness))}")
+        old = harness[key]
+        number = isinstance(old, (int, float)) and not isinstance(old, bool)
+        fits = type(value) in (int, float) and math.isfinite(value) if number else type(value) is type(old)
+        if not fits:
+            raise BadScenario(f"{path}: {key} is {value!r} where something like {old!r} is expected")
+    return {**harness, **given}

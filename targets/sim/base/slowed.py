@@ -1,0 +1,56 @@
+"""A body whose motors and servos are slower than usual, by how much its robot is upset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from targets.sim.base.bodies import Vector
+from targets.sim.base.upset import Upset
+
+Command = tuple[float, ...]
+
+
+class Slowed:
+    """Stands before a body (any of `bodies`): what is asked of it comes with a first-order lag of `upset.lag` seconds,
+    all else at once. `clock` tells the world's time."""
+
+    def __init__(self, body: Any, upset: Upset, clock: Callable[[], float]) -> None:
+        self._body, self._upset, self._clock = body, upset, clock
+        self._given: dict[str, tuple[float, Command]] = {}  # when, and what, by command
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)
+
+    def accelerate(self, acceleration: Vector, yaw_rate: float) -> None:
+        """See bodies.Quadrotor."""
+        x, y, z, rate = self._slow("accelerate", (*acceleration, yaw_rate))
+        self._body.accelerate((x, y, z), rate)
+
+    def fly(self, velocity: Vector, yaw_rate: float) -> None:
+        """See first_order.SimpleQuadrotor."""
+        x, y, z, rate = self._slow("fly", (*velocity, yaw_rate))
+        self._body.fly((x, y, z), rate)
+
+    def thrusts(self, shares: tuple[float, float, float, float]) -> None:
+        """See quadrotor.SimulatedQuadrotor."""
+        a, b, c, d = self._slow("thrusts", shares)
+        self._body.thrusts((a, b, c, d))
+
+    def drive(self, speed: float, steering: float) -> None:
+        """See bodies.Car."""
+        self._body.drive(*self._slow("drive", (speed, steering)))
+
+    def _slow(self, name: str, asked: Command) -> Command:
+        lag = self._upset.lag
+        if lag <= 0.0:
+            if self._given:
+                self._given.clear()
+            return asked
+        now = self._clock()
+        at, before = self._given.get(name, (now, asked))
+        share = 1.0 - math.exp((at - now) / lag)
+        given = tuple(b + share * (a - b) for a, b in zip(asked, before, strict=True))
+        self._given[name] = now, given
+        return given

@@ -1,0 +1,109 @@
+"""Ends a run in which nothing goes on any more although the robots have not stopped: tasks that nobody can do are told,
+not waited for.
+
+Nothing goes on while no robot gets anywhere or is sent anywhere, puts anything out, stops, or has another value in a
+variable than before. Numbers count as other ones, and places as elsewhere, from SAME on: what robots write of where
+they are is never the same.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.run.crew import Agent
+from targets.sim.run.run import Run
+from targets.sim.trace.schema import Init, Record, Round, Stream, Violation
+
+SAME = 0.2
+IDLE_TIMEOUT = 60.0  # seconds
+EVERY = 24  # steps between two looks at where robots are
+
+
+class Idle:
+    """A `crew.Companion`. `timeout` in seconds; 0: it waits for ever."""
+
+    def __init__(self, names: tuple[str, ...], timeout: float) -> None:
+        self._names, self._timeout = names, timeout
+        self._since = math.inf  # when something was last seen to go on
+        self._places: list[Vector] = []
+        self._values: dict[tuple[int, str], Any] = {}
+        self._last: dict[int, str] = {}  # what each robot did in its last round
+        self._stopped: set[int] = set()
+        self._steps = 0
+
+    def launched(self, run: Run) -> None:
+        self._run = run
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        self._steps += 1
+        zero = self._run.zero
+        if self._steps % EVERY or zero is None:
+            return
+        if self._since == math.inf:
+            self._since = max(zero, at)
+        places = [state.position for state in states]
+        moved = not self._places or any(math.dist(a, b) >= SAME for a, b in zip(places, self._places, strict=True))
+        if moved:
+            self._places, self._since = places, at
+        if self._timeout and at - self._since >= self._timeout and self._left():
+            self._report(at)
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        if not self._timeout:
+            return
+        for record in records:
+            match record:
+                case Init() | Round():
+                    if self._news(agent.robot.pid, record):
+                        self._since = max(self._since, record.time) if self._since < math.inf else self._since
+                case Stream():
+                    self._since = max(self._since, record.time) if self._since < math.inf else self._since
+                case _:
+                    pass
+
+    def end(self, at: float) -> None:
+        pass
+
+    def _left(self) -> list[int]:
+        """Robots that go on and have not stopped."""
+        agents = self._run.conduct.agents
+        return [a.robot.pid for a in agents if a.alive and a.resting is None and a.robot.pid not in self._stopped]
+
+    def _news(self, pid: int, record: Init | Round) -> bool:
+        if record.stopped:
+            self._stopped.add(pid)
+        if isinstance(record, Round):
+            self._last[pid] = record.event or record.skipped or "nothing"
+        news = bool(record.stopped or record.actuators)
+        for values in (record.locals, record.shared):
+            for name, raw in values.items():
+                value = msgspec.json.decode(raw)
+                if not same(self._values.get((pid, name)), value):
+                    self._values[pid, name] = value
+                    news = True
+        return news
+
+    def _report(self, at: float) -> None:
+        self._timeout = 0.0  # once
+        robots = tuple(self._names[pid] for pid in self._left())
+        doing = "; ".join(f"{self._names[pid]}: {self._last.get(pid, 'no round')}" for pid in self._left())
+        detail = f"nothing has gone on for {at - self._since:.0f} s, and the program has not stopped ({doing})"
+        self._run.mark(Violation(self._since, "idle", robots, detail))
+        self._run.finish("idle")
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two values in JSON are the same but for small changes of numbers that are no ints."""
+    match a, b:
+        case bool(), bool():
+            return a == b
+        case float(), float():
+            return abs(a - b) < SAME
+        case list(), list():
+            return len(a) == len(b) and all(map(same, a, b))
+        case _:
+            return type(a) is type(b) and bool(a == b)

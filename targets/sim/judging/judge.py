@@ -1,0 +1,101 @@
+"""What a run has shown of one property: its first violation, its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from koordgen.runtime.monitor.told import told
+from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
+from targets.sim.trace.schema import Found, Verdict, Violation
+
+Of = Literal["invariant", "initially", "assume"]
+
+
+@dataclass(slots=True)
+class Watched:
+    """One property and what was seen of it. `at` is when it was first violated or had no value, `left` when it could
+    first not be told because a robot was out of the model; times of the run's clock."""
+
+    of: Of
+    name: str
+    line: str
+    what: Property | Assumption
+    moving: bool  # reads where bodies are, and so changes between rounds
+    found: Properties
+    n: int
+    outcome: Literal["violated", "no value"] | None = None
+    at: float = 0.0
+    left: float | None = None
+    robots: tuple[str, ...] = ()
+    detail: str = ""
+    moments: int = 0  # at which it had a value
+    unknown: int = 0  # at which it was not known
+
+    @property
+    def decided(self) -> bool:
+        return self.outcome is not None
+
+    @property
+    def surely(self) -> Callable[[Any], Any] | None:
+        return self.what.surely
+
+    def note(
+        self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], gone: bool
+    ) -> Violation | None:
+        """What a moment has shown; `gone`: somebody was out of the model. What did not hold is told, the first time,
+        with the robots that made it false and what was read of them."""
+        if outcome == "unknown":
+            self.unknown += 1
+            self.detail = self.detail or why
+            self.left = at if gone and self.left is None else self.left
+            return None
+        self.moments += 1
+        if outcome == "held":
+            return None
+        trail: Trail = []
+        holds: Callable[[Known], bool]
+        if isinstance(self.what, Assumption):
+            again, holds = self.found.step(self.n, trail), self.what.holds_of_calls
+        else:
+            again, holds = self.found.fleet(self.n, trail), self.what.holds
+        again.take(known)
+        judged(holds, again)
+        self.at, self.outcome = at, outcome
+        self.robots, self.detail = told(trail, names, why, known.pid)
+        word = f"{self.of} {self.name}" if self.name else self.of
+        verb = "has no value" if why else "does not hold"
+        text = f"{word} {verb}: {self.detail}" if self.detail else f"{word} {verb}"
+        return Violation(at, "property", self.robots, text, self.name, self.line)
+
+    def verdict(self, at: float, zero: float | None, gone: str) -> Verdict:
+        """At the mission's end; `zero` is when round 1 began, `gone` names those that have left the model."""
+        word: Found
+        since: float | None = None
+        if self.outcome is not None:
+            word, since, detail = self.outcome, self.at, self.detail
+        elif self.left is not None:
+            word, since = "out of model", self.left
+            detail = f"{gone or 'a robot'} had left the model; until then it held"
+        elif not self.moments:
+            word, detail = "unchecked", f"not known: {self.detail}" if self.unknown else "there was no moment for it"
+        else:
+            word, detail = "held", f"at {self.unknown} more moments not known: {self.detail}" if self.unknown else ""
+        since = None if since is None or zero is None else round(since - zero, 6)
+        return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.moments)
+
+
+def all_of(found: Properties, n: int) -> list[Watched]:
+    """All properties and assumptions that can be evaluated, for a fleet of so many robots."""
+    source = found.program.source
+    measured = {*found.measured, *(f"{name}'" for name in found.measured)}
+    properties = [
+        Watched(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
+        for p in found.properties
+    ]
+    assumptions = [
+        Watched("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
+        for a in found.assumptions
+    ]
+    return [*properties, *assumptions]

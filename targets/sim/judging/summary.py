@@ -1,0 +1,418 @@
+"""The summary of a run: figures per robot and for the whole fleet, computed from its trace, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from koordgen.runtime.program.skips import name_of
+from targets.sim.base.bodies import Vector
+from targets.sim.run.run import Outcome
+from targets.sim.trace.noticed import Monitored, Noticed
+from targets.sim.trace.noticed import as_text as noticed_text
+from targets.sim.trace.schema import Cause, End, Header, Log, Monitor, Pose, Record, Round, Stall, Violation, fault_text
+from targets.sim.trace.schema import Verdict as Found
+
+Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
+
+
+LEFT_OPEN = "; not judged to the end: "  # in the reason of a run that held, before its properties
+MOST_WARNINGS = 50  # different ones of a robot
+AGAIN = "run it again with --lockstep, or when the host has less to do"
+
+
+class Stalled(msgspec.Struct):
+    """A time in which a robot had no way to what was commanded: `since` (s), how long (s), whether it was over when the
+    mission ended, and the last reason."""
+
+    since: float
+    seconds: float
+    over: bool
+    why: str
+
+
+class Warned(msgspec.Struct):
+    """A warning of a robot's agent, such as a command clamped at the geofence or a set-point refused: when first (s),
+    in which words then, and how often. The numbers in the words may differ."""
+
+    since: float
+    text: str
+    level: str
+    times: int = 1
+
+
+class RobotSummary(msgspec.Struct):
+    """One robot. Positions (m, local ENU) are the truth: `start` at the beginning of the run, `final` at the mission's
+    end, `rest` after landing or braking. `path_length`, rounds and what they brought are from round 1 to that end."""
+
+    name: str
+    pid: int
+    target: str
+    start: Vector | None = None
+    final: Vector | None = None
+    rest: Vector | None = None
+    path_length: float = 0.0
+    rounds: int = 0
+    events: dict[str, int] = {}
+    skips: dict[str, int] = {}
+    faults: int = 0
+    first_fault: str | None = None
+    late_rounds: int = 0
+    status: int | None = None
+    waiting_for: str | None = None
+    last_lines: list[str] = []
+    stalls: list[Stalled] = []
+    warnings: list[Warned] = []
+
+
+class Separation(msgspec.Struct):
+    """Of all pairs over the whole run, at every physics step (240 Hz), in space, between reference points."""
+
+    distance: float
+    time: float
+    robots: tuple[str, str]
+
+
+class Summary(msgspec.Struct):
+    app: str
+    program_hash: str
+    seed: int
+    duration_asked: float
+    duration: float
+    verdict: Verdict
+    why: str
+    violations: list[Violation]
+    properties: list[Found]
+    causes: list[Cause]  # faults that were brought about on purpose
+    robots: list[RobotSummary]
+    min_separation: Separation | None
+    min_separation_asked: float
+    collisions: int
+    real_time_factor: float
+    late_steps: int
+    steps: int
+    late_in_mission: int = 0  # of the late steps
+    noticed: list[Noticed] = []  # by the robots' own monitors
+    watching: float = 0.0  # share of the run's time that watching its properties took
+    shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
+    host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
+    reproduce: dict[str, str] = {}  # what one needs to do it again
+
+
+def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Summary:
+    """Read a merged trace through once."""
+    tallies = {
+        robot.pid: _Tally(RobotSummary(robot.name, robot.pid, robot.target), header.delta) for robot in header.robots
+    }
+    ended = False
+    violations: list[Violation] = []
+    properties: list[Found] = []
+    causes: list[Cause] = []
+    names = {robot.pid: robot.name for robot in header.robots}
+    monitored = Monitored(names, header.delta)
+    for record in records:
+        match record:
+            case Monitor() if not ended:
+                monitored.take(record)
+            case Pose() | Round() | Stall() | Log() if record.pid in tallies:
+                tallies[record.pid].take(record, ended)
+            case Violation():
+                violations.append(record)
+            case Found():
+                properties.append(record)
+            case Cause():
+                causes.append(record)
+            case End():
+                ended = True
+                for tally in tallies.values():
+                    tally.end(record.t)
+            case _:
+                pass
+    robots = [tally.summary for tally in tallies.values()]
+    for robot in robots:
+        robot.status = outcome.statuses.get(robot.name)
+        robot.waiting_for = outcome.waiting.get(robot.name)
+        robot.last_lines = outcome.last_lines.get(robot.name, [])
+    verdict, why = _verdict(outcome, violations, properties)
+    return Summary(
+        app=header.app,
+        program_hash=header.program_hash,
+        seed=header.seed,
+        duration_asked=header.duration,
+        duration=outcome.duration if outcome.started else 0.0,
+        verdict=verdict,
+        why=why,
+        violations=violations,
+        properties=properties,
+        noticed=monitored.beside(properties),
+        causes=causes,
+        robots=robots,
+        min_separation=_separation(outcome, names),
+        min_separation_asked=header.min_separation,
+        collisions=sum(v.what == "collision" for v in violations),
+        real_time_factor=outcome.real_time_factor,
+        late_steps=outcome.late_steps,
+        late_in_mission=outcome.late_in_mission,
+        steps=outcome.steps,
+        shares=outcome.shares,
+        host_waits=outcome.host_waits,
+    )
+
+
+def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
+    closest = outcome.closest
+    if closest is None:
+        return None
+    one, other = closest.pids
+    return Separation(round(closest.distance, 4), closest.time, (names[one], names[other]))
+
+
+class _Tally:
+    def __init__(self, summary: RobotSummary, delta: float) -> None:
+        summary.events, summary.skips, summary.stalls, summary.warnings = {}, {}, [], []
+        self._warned: dict[str, Warned] = {}
+        self.summary = summary
+        self._delta = delta
+        self._last: Vector | None = None
+        self._round = 0
+
+    def take(self, record: Pose | Round | Stall | Log, ended: bool) -> None:
+        """Take in a record of the robot; `ended`: the mission is over."""
+        match record:
+            case Pose():
+                self.pose(record, ended)
+            case Log():
+                self.log(record)
+            case Round() if not ended:
+                self.round(record)
+            case Stall() if not ended:
+                self.stall(record)
+
+    def pose(self, pose: Pose, ended: bool) -> None:
+        own = self.summary
+        own.start = own.start or pose.position
+        own.rest = pose.position
+        if not ended:
+            own.final = pose.position
+            if pose.t >= 0 and self._last is not None:
+                own.path_length += math.dist(self._last, pose.position)
+        self._last = pose.position
+
+    def log(self, record: Log) -> None:
+        """Count a warning or an error, by its words without numbers. Those of stalls are told as stalls."""
+        own = self.summary
+        if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):
+            return
+        kind = re.sub(r"[-\d.]+", "", record.message)
+        if kind in self._warned:
+            self._warned[kind].times += 1
+        elif len(self._warned) < MOST_WARNINGS:
+            self._warned[kind] = Warned(record.t, record.message.strip(), record.level)
+            own.warnings.append(self._warned[kind])
+
+    def stall(self, record: Stall) -> None:
+        own = self.summary.stalls
+        if own and not own[-1].over:
+            own.pop()
+        since = round(record.t - record.lasted, 3)
+        own.append(Stalled(since, record.lasted, record.state == "ends", record.why))
+
+    def end(self, t: float) -> None:
+        """The mission is over: a stall that goes on has lasted until now."""
+        for stalled in self.summary.stalls:
+            if not stalled.over:
+                stalled.seconds = round(t - stalled.since, 3)
+
+    def round(self, record: Round) -> None:
+        own = self.summary
+        own.rounds += 1
+        slept = max(0, record.round - self._round - 1) if self._round else 0
+        self._round = record.round
+        own.late_rounds += slept + record.was_late(self._delta)
+        if record.fault is not None:
+            own.faults += 1
+            own.first_fault = own.first_fault or fault_text(record.fault)
+        elif record.skipped is not None:
+            reason = name_of(record.skipped)
+            own.skips[reason] = own.skips.get(reason, 0) + 1
+        elif record.event is not None:
+            own.events[record.event] = own.events.get(record.event, 0) + 1
+
+
+def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
+    own = [violation for violation in violations if not violation.host]
+    first = told((own or violations)[0]) if violations else ""
+    if outcome.ended == "interrupted":
+        return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
+    if outcome.ended == "timeout":
+        waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
+        return "not started", f"round 1 never came: {waiting}"
+    if own:
+        return "violated", first
+    if violations:
+        return "host overloaded", f"{first}. The run does not judge the program: {AGAIN}"
+    how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
+    left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
+    return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
+
+
+def _open(found: Found) -> bool:
+    """Whether the run does not tell of a property. An axiom is what a program takes for granted, nothing to judge."""
+    return found.outcome in ("out of model", "unchecked") and found.of != "axiom"
+
+
+def _since(found: Found) -> str:
+    return "" if found.since is None else f" since {seconds(found.since)} s"
+
+
+def _named(found: Found) -> str:
+    """A property, and where it stands."""
+    return f"{found.of} {found.name} ({found.line})" if found.name else f"{found.of} ({found.line})"
+
+
+def found_text(found: Found) -> str:
+    """The verdict on a property, in one line."""
+    detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
+    return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
+
+
+def headline(summary: Summary) -> str:
+    """The verdict in a word or three: a run that held without telling of all properties says so."""
+    return "held in part" if summary.verdict == "held" and any(map(_open, summary.properties)) else summary.verdict
+
+
+def seconds(t: float) -> str:
+    """A time, for people; never -0.00."""
+    return f"{round(t, 2) + 0.0:.2f}"
+
+
+def told(violation: Violation) -> str:
+    """A violation in one sentence."""
+    who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
+    host = f"; {violation.host}" if violation.host else ""
+    if violation.line:
+        return f"{who}: {violation.detail} ({violation.line}){host}"
+    verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
+    return f"{who}{verb}{violation.detail}{host}"
+
+
+def stalled(robot: str, stall: Stalled) -> str:
+    """A time without a way, in one line."""
+    until = f"for {stall.seconds:.1f} s" if stall.over else f"until the end ({stall.seconds:.1f} s)"
+    return f"{robot} from {seconds(stall.since)} s {until}: {stall.why}"
+
+
+def waits(seconds_of: Mapping[str, float]) -> str:
+    """For how long processes waited for a processor core, in words."""
+    longest = max(seconds_of, key=seconds_of.__getitem__)
+    whole = sum(seconds_of.values())
+    return f"processes waited {whole:.2f} s for a processor core, {longest} the longest: {seconds_of[longest]:.2f} s"
+
+
+def warned(robot: str, warning: Warned) -> str:
+    """A warning in one line."""
+    often = f" ({warning.times} times)" if warning.times > 1 else ""
+    return f"{robot} at {seconds(warning.since)} s: {warning.text}{often}"
+
+
+def _brought(cause: Cause) -> str:
+    """A fault in one line."""
+    who = f" ({', '.join(cause.robots)})" if cause.robots else ""
+    told = f"at {seconds(cause.t)} s {cause.what}{who}"
+    return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
+
+
+def write(summary: Summary, folder: Path) -> None:
+    """`summary.json` and `summary.txt`. Raises OSError."""
+    text = msgspec.json.format(msgspec.json.encode(summary), indent=2)
+    (folder / "summary.json").write_bytes(text + b"\n")
+    (folder / "summary.txt").write_text(as_text(summary), encoding="utf-8")
+
+
+def as_text(summary: Summary) -> str:
+    """The summary for people."""
+    lines = [
+        f"{summary.app}: {headline(summary).upper()}: {summary.why}",
+        f"seed {summary.seed}, {summary.duration:.1f} of {summary.duration_asked:g} s, program {summary.program_hash}",
+        "",
+        *_table(summary),
+        "",
+        *_details(summary),
+        *_properties(summary),
+    ]
+    if summary.min_separation:
+        found = summary.min_separation
+        asked = f", at least {summary.min_separation_asked:g} m asked" if summary.min_separation_asked else ""
+        lines.append(
+            f"closest: {' and '.join(found.robots)}, {found.distance:.3f} m at {found.time:.2f} s{asked}"
+            " (in space, between reference points, at 240 Hz)"
+        )
+    lines.append(f"collisions: {summary.collisions}")
+    late = f"{summary.late_steps} late, {summary.late_in_mission} of them in the mission"
+    lines.append(f"world: {summary.steps} steps, {late}, real-time factor {summary.real_time_factor:.3f}")
+    if summary.host_waits:
+        lines.append(f"the host: {waits(summary.host_waits)}")
+    if summary.shares:
+        parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
+        lines.append(f"the processor's time: {', '.join(parts)}")
+    stalls = [stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
+    if stalls:
+        lines += ["", "robots without a way:", *(f"  {line}" for line in stalls)]
+    warnings = [warned(robot.name, each) for robot in summary.robots for each in robot.warnings]
+    if warnings:
+        lines += ["", "robots warned:", *(f"  {line}" for line in warnings)]
+    if len(summary.violations) > 1:
+        lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
+    if summary.causes:
+        lines += ["", "brought about on purpose:", *(f"  {_brought(cause)}" for cause in summary.causes)]
+    for robot in summary.robots:
+        if robot.last_lines:
+            lines += ["", f"the last lines of {robot.name}'s log:", *(f"  {line}" for line in robot.last_lines)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(summary: Summary) -> list[str]:
+    rows = [("pid", "robot", "target", "start", "final", "path m", "rounds", "events", "skips", "faults", "late")]
+    rows += [
+        (
+            str(r.pid), r.name, r.target, place(r.start), place(r.final), f"{r.path_length:.2f}", str(r.rounds),
+            str(sum(r.events.values())), str(sum(r.skips.values())), str(r.faults), str(r.late_rounds),
+        )
+        for r in summary.robots
+    ]  # fmt: skip
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _properties(summary: Summary) -> list[str]:
+    """One line each; nothing for a program without any."""
+    lines = [found_text(found) for found in summary.properties]
+    took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
+    own = ["", "the robots' own monitors:"] if summary.noticed else []
+    own += [f"  {noticed_text(found)}" for found in summary.noticed]
+    return (["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []) + own
+
+
+def _details(summary: Summary) -> list[str]:
+    lines = []
+    for robot in summary.robots:
+        parts = [f"{name} {count}" for name, count in sorted(robot.events.items())]
+        parts += [f"skipped ({reason}) {count}" for reason, count in sorted(robot.skips.items())]
+        if robot.first_fault:
+            parts.append(f"first fault {robot.first_fault}")
+        if robot.status not in (0, None):
+            parts.append(f"ended with status {robot.status}")
+        lines.append(f"{robot.name}: {', '.join(parts) or 'no round'}")
+    return lines
+
+
+def place(position: Vector | None) -> str:
+    """A position, for a table."""
+    if position is None:
+        return "-"
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in position))  # + 0.0: no -0.00

@@ -1,0 +1,352 @@
+"""Watches a run: the program's properties over the truth. Invariants hold at every moment, port assumptions over each
+round of each robot; what a robot does after it has left the model (it landed by itself, died, was removed) is said of
+no property.
+
+A round's moments are the physics steps from its start to the next one's: bodies where they are at each, everything else
+as after the round's events (before them, for the step at which both rounds meet). They are judged when all robots have
+told of the next round.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
+from koordgen.runtime.values.points import Point, Pose
+from targets.sim.base.bodies import BodyState
+from targets.sim.judging.batch import Batch
+from targets.sim.judging.judge import Of, Watched, all_of
+from targets.sim.judging.windows import Came, Windows
+from targets.sim.run.crew import Agent
+from targets.sim.run.run import Run
+from targets.sim.trace.schema import Init, Phase, Record, Round, Verdict, View, Violation
+from targets.sim.trace.truth import Truth
+
+PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
+MOST_KEPT = 4800  # steps kept while round 1 has not been heard of
+_PORTS: dict[str, Callable[[BodyState], Any]] = {
+    "position": lambda state: Point(*state.position),
+    "velocity": lambda state: Point(*state.velocity),
+    "pose": lambda state: Pose(Point(*state.position), state.yaw),
+}
+_CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
+
+
+def load(root: Path) -> Properties:
+    """The properties of the sim bundle at `root`."""
+    sys.path.insert(0, str(root))
+    try:
+        for name in ("program", "properties"):  # of another bundle
+            sys.modules.pop(name, None)
+        found: Properties = importlib.import_module("properties").PROPERTIES
+        if found.program.library is not None:
+            with suppress(BadExtern):  # the robots say so; a property that asks it has no value
+                found.program.library.load()
+        return found
+    finally:
+        sys.path.remove(str(root))
+
+
+@dataclass(slots=True)
+class _Moment:
+    at: float
+    states: list[BodyState]
+    ports: dict[str, list[Any]] = field(default_factory=dict)  # measured ones, when they are wanted
+
+
+class Watcher:
+    """A `crew.Companion`. `seconds` is what it took of the host's time. With `windows` it looks at all windows of all
+    robots, also when an assumption has been violated already; what it says of the run is the same."""
+
+    def __init__(self, found: Properties, names: tuple[str, ...], delta: float, windows: Windows | None = None) -> None:
+        self.seconds = 0.0
+        self._windows = windows
+        self._found, self._names, self._delta, self._n = found, names, delta, len(names)
+        self._truth = Truth(found.program, self._n)
+        self._known = found.fleet(self._n, None)
+        self._step = found.step(self._n, None)
+        self._moments: deque[_Moment] = deque()
+        self._out: dict[int, float] = {}  # pid -> since when it is out of the model
+        self._view = View(0, 0, (0,) * self._n)
+        self._began = False
+        self._arrays: dict[str, NDArray[Any]] = {}  # of the round that is looked at
+        self._stopped: set[int] = set()
+        self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
+        self._watched = all_of(found, self._n)
+        self._loops: dict[int, tuple[Violation, str]] = {}  # loop invariants that were false, by line; in which event
+
+    @property
+    def moving(self) -> set[str]:
+        """The lines ("app.koord:12") of the properties that read where bodies are."""
+        return {watched.line for watched in self._watched if watched.moving}
+
+    def launched(self, run: Run) -> None:
+        self._run = run
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        began = time.perf_counter()
+        if at <= self._until:
+            if any(agent.told for agent in self._run.conduct.agents):
+                self._until = at
+            self._moments.append(_Moment(at, states))
+            if self._run.zero is None and len(self._moments) > MOST_KEPT:
+                self._moments.popleft()
+        self.seconds += time.perf_counter() - began
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        began = time.perf_counter()
+        pid = agent.robot.pid
+        for record in records:
+            match record:
+                case Init() | Round():
+                    self._truth.hear(pid, record)
+                    self._note_loops(agent.robot.name, record)
+                    if record.stopped:
+                        self._stopped.add(pid)
+                case Phase(phase="resting") if not agent.told:
+                    self._rests(pid, record.time)
+                case View() if record.number > self._view.number:
+                    self._view = record
+                case _:
+                    pass
+        for other in self._run.conduct.agents:
+            if not other.alive and not other.told:
+                self._out.setdefault(other.robot.pid, self._run.conduct.now())
+        self._judge(self._ready)
+        self.seconds += time.perf_counter() - began
+
+    def _note_loops(self, robot: str, record: Init | Round) -> None:
+        """Mark the loop invariants that were false in a robot's event, each the first time."""
+        where = f"the event {record.event}" if isinstance(record, Round) else "init"
+        for line in record.violated:
+            if line not in self._loops and record.time <= self._until:
+                why = f"in {where} of {robot} it was false or had no value"
+                text, at = f"loop invariant line {line} does not hold: {why}", f"{self._found.program.source}:{line}"
+                violation = Violation(record.time, "property", (robot,), text, f"line {line}", at)
+                self._loops[line] = violation, why
+                self._run.mark(violation)
+
+    def _rests(self, pid: int, at: float) -> None:
+        """A robot comes to rest unasked: when all have stopped, that is the mission's end, else it leaves the model."""
+        if all(p in self._stopped or p in self._out for p in range(self._n)):
+            self._until = min(self._until, at)
+        else:
+            self._out.setdefault(pid, at)
+
+    def end(self, at: float) -> None:
+        began = time.perf_counter()
+        self._judge(lambda round_: True)
+        at = min(at, self._until)
+        gone = ", ".join(self._names[pid] for pid in self._gone(at))
+        for watched in self._watched:
+            self._run.mark(watched.verdict(at, self._run.zero, gone))
+        for found, why in self._loops.values():
+            since = None if self._run.zero is None else round(found.t - self._run.zero, 6)
+            self._run.mark(Verdict(at, "loop invariant", found.name, found.line, "violated", since, found.robots, why))
+        for left in self._found.unchecked:
+            line = f"{self._found.program.source}:{left.line}"
+            self._run.mark(Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why))
+        self.seconds += time.perf_counter() - began
+
+    def _ready(self, round_: int) -> bool:
+        """Whether all that is to be known of a round has been told, or has been waited for."""
+        zero = self._run.zero
+        if zero is not None and self._moments[-1].at - zero > round_ * self._delta + PATIENCE:
+            return True
+        return all(self._truth.told(pid) >= round_ or self._absent(pid, round_) for pid in range(self._n))
+
+    def _absent(self, pid: int, round_: int) -> bool:
+        return pid in self._out or (self._view.members[pid] < 0 and self._view.since <= round_)
+
+    def _judge(self, ready: Callable[[int], bool]) -> None:
+        """All rounds that can be: their moments have passed, and the next round is known, too."""
+        zero = self._run.zero
+        while len(self._moments) > 1 and self._moments[-1].at > self._until:
+            self._moments.pop()
+        while zero is not None and self._moments:
+            end = zero + max(0, self._truth.round + 1) * self._delta
+            if self._moments[-1].at < end or not ready(self._truth.round + 2):
+                return
+            self._window(zero, end)
+
+    def _window(self, zero: float, end: float) -> None:
+        """The next round: its moments are those up to `end`, both ends included."""
+        if not self._began:
+            self._began = True
+            self._truth.begin()
+            while len(self._moments) > 1 and self._moments[1].at <= zero:
+                self._moments.popleft()
+            self._fleet("initially", [self._moments[0]])
+        self._truth.advance()
+        self._arrays = {}
+        moments = [self._moments.popleft()]
+        while self._moments and self._moments[0].at <= end:
+            moments.append(self._moments.popleft())
+        self._moments.appendleft(moments[-1])  # where the next round begins
+        self._fleet("invariant", moments)
+        if self._truth.round > 0:
+            self._assumptions(moments)
+
+    def _fleet(self, of: Of, moments: list[_Moment]) -> None:
+        asked = [w for w in self._watched if w.of == of and not w.decided]
+        if not asked:
+            return
+        self._known.put(self._truth.values)
+        due = self._due(asked, moments)
+        gone: list[int] = []
+        for k in sorted(due):
+            moment = moments[k]
+            if gone != (gone := self._gone(moment.at)):
+                self._known.put(self._without(gone))
+            self._known.put(self._ports(moment))
+            for watched in due[k]:
+                if not watched.decided:
+                    outcome, why = judged(watched.what.holds, self._known)
+                    self._note(watched, outcome, moment.at, why, self._known)
+
+    def _due(self, asked: list[Watched], moments: list[_Moment]) -> dict[int, list[Watched]]:
+        """By moment, what has to be asked there one by one: of what moves all moments but those at which many at once
+        have shown that it surely holds."""
+        due: dict[int, list[Watched]] = {}
+        batch: Batch | None = None
+        for watched in asked:
+            which = list(range(len(moments))) if watched.moving else [0]
+            surely = watched.surely
+            if watched.moving and surely is not None and not self._gone(moments[-1].at):
+                batch = batch or Batch(len(moments), self._n, self._measured(moments), self._truth.values)
+                which = batch.unsure(surely)
+                watched.moments += len(moments) - len(which)
+            for k in which:
+                due.setdefault(k, []).append(watched)
+        return due
+
+    def _measured(self, moments: list[_Moment]) -> dict[str, NDArray[Any]]:
+        """The places and velocities of a round, for a Batch."""
+        if not self._arrays:
+            for name in self._found.measured:
+                kind = name.rpartition(".")[2]
+                if kind in ("position", "velocity"):
+                    rows = [[getattr(state, kind) for state in moment.states] for moment in moments]
+                    self._arrays[name] = np.array(rows)
+        return self._arrays
+
+    def _without(self, gone: list[int]) -> dict[str, list[Any]]:
+        """What ports say, but those of robots that are out of the model."""
+        values = self._truth.values
+        ports = [p.name for p in self._found.program.ports if p.name in values]
+        return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
+
+    def _assumptions(self, moments: list[_Moment]) -> None:
+        if self._windows is not None:
+            self._tell_of(self._windows, moments)
+        for watched in [w for w in self._watched if w.of == "assume" and (self._windows or not w.decided)]:
+            due = self._due_of_each(watched, moments)
+            for pid in range(self._n):
+                if self._windows is not None:
+                    looked = [moments[k] for k in due[pid]]
+                    self._windows.put(pid, self._assumption(watched, pid, moments[0], looked) if looked else "h")
+                elif due[pid] and not watched.decided:
+                    self._assumption(watched, pid, moments[0], [moments[k] for k in due[pid]])
+
+    def _tell_of(self, windows: Windows, moments: list[_Moment]) -> None:
+        windows.begin(self._truth.round)
+        targets = self._truth.values.get(f"{windows.body}.target")
+        if targets is not None:
+            places, velocities = (
+                np.array([[getattr(state, kind) for state in moment.states] for moment in moments])
+                for kind in ("position", "velocity")
+            )
+            windows.moved(places, velocities, targets, self._gone(moments[-1].at))
+
+    def _due_of_each(self, watched: Watched, moments: list[_Moment]) -> list[list[int]]:
+        """By pid the moments at which an assumption has to be asked: as `_due`."""
+        what, last = watched.what, len(moments) - 1
+        assert isinstance(what, Assumption)
+        sampled = bool(self._sampled(what))
+        if what.surely is None or sampled or not watched.moving or self._gone(moments[last].at):
+            return [[last] if sampled or not watched.moving else list(range(last + 1))] * self._n
+        measured = {f"{name}'": places for name, places in self._measured(moments).items()}
+        values = {**self._truth.values, **self._ports(moments[0])}
+        values |= {f"{p.name}'": values[p.name] for p in self._found.program.ports if p.direction == "actuator"}
+        unsure = Batch(last + 1, self._n, measured, values).unsure_of(what.surely)
+        watched.moments += 0 if watched.decided else (last + 1) * self._n - len(unsure)
+        return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
+
+    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
+        """Of one robot in one round: before, its ports right after the program's step; after, at each moment, until it
+        does not hold."""
+        assumption, step, values = watched.what, self._step, self._truth.values
+        assert isinstance(assumption, Assumption)
+        if self._is_out(pid, moments[-1].at):
+            watched.left = moments[-1].at if watched.left is None else watched.left
+            return "o"
+        before = self._ports(first)
+        ports = [name for name in step.one if not name.endswith("'")]
+        step.pid, step.asked = pid, self._truth.calls(pid)
+        step.put({name: before[name][pid] if name in before else values[name][pid] for name in ports})
+        actuators = {p.name for p in self._found.program.ports if p.direction == "actuator"}
+        step.put({f"{name}'": values[name][pid] for name in ports if name in actuators})
+        others = {n: self._truth.sensed(pid, n, self._truth.round + 1) for n in self._sampled(assumption)}
+        if UNKNOWN in others.values():
+            return "u"
+        step.put({f"{name}'": value for name, value in others.items()})
+        came: Came = "h" if assumption.asked(step) else "-"
+        for moment in moments:
+            step.put({f"{name}'": held[pid] for name, held in self._ports(moment).items()})
+            outcome, why = judged(assumption.holds_of_calls, step)
+            if not watched.decided:
+                self._note(watched, outcome, moment.at, why, step)
+            if outcome in ("violated", "no value"):
+                return _CAME[outcome]
+            came = _CAME[outcome] if outcome == "unknown" else came
+        return came
+
+    def _sampled(self, assumption: Assumption) -> list[str]:
+        """Sensors of which an assumption wants to know what they are afterwards, and only the robot can say: it does at
+        its next round."""
+        primed = [name[:-1] for name in assumption.reads if name.endswith("'")]
+        sensors = {p.name for p in self._found.program.ports if p.direction == "sensor"}
+        return [name for name in primed if name in sensors and name not in self._found.measured]
+
+    def _ports(self, moment: _Moment) -> dict[str, list[Any]]:
+        """The measured ports, as they are in truth."""
+        if not moment.ports:
+            gone = self._gone(moment.at)
+            for name in self._found.measured:
+                measure = _PORTS[name.rpartition(".")[2]]
+                moment.ports[name] = [
+                    UNKNOWN if pid in gone else measure(state) for pid, state in enumerate(moment.states)
+                ]
+        return moment.ports
+
+    def _gone(self, at: float) -> list[int]:
+        """Who is out of the model."""
+        if not self._out and min(self._view.members) >= 0:
+            return []
+        return [pid for pid in range(self._n) if self._is_out(pid, at)]
+
+    def _is_out(self, pid: int, at: float) -> bool:
+        since = self._out.get(pid)
+        if since is not None and at >= since:
+            return True
+        zero = self._run.zero
+        removed = self._view.members[pid] < 0 and zero is not None
+        return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
+
+    def _note(self, watched: Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
+        violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
+        if violation is not None:
+            self._run.mark(violation)

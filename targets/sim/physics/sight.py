@@ -1,0 +1,318 @@
+"""What a planar lidar sees: how far it is in each direction to what stands there, in closed form.
+
+Obstacles are cut at the lidar's height into line segments and circles; other robots stay what they are, boxes and
+cylinders that may be tilted. For each of these only those rays are reckoned that may meet it, found by the angles
+between which it is seen; all of these rays, of all lidars that look at once, are one array.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values.points import Point
+from targets.sim.base.bodies import Vector
+from targets.sim.physics.rigid import Array, Mask, total
+
+Index = NDArray[np.int64]
+_LEVEL = 1.0 - 5e-7  # cosine of the tilt up to which a body is upright: a thousandth, less than 0.1 mm on a car
+_SEAM = 1e-9  # of a segment's length by which it is longer, or rays would pass between two
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """A lidar: where it is (m), how many rays it has, evenly over the full turn and the first to the east, how far
+    they go (m), and the number of the body that it is mounted on and does not see."""
+
+    place: Vector
+    rays: int
+    range: float
+    unseen: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """The other robots: centres (3, n), rotation matrices (3, 3, n), edges of the box or of the box around the upright
+    cylinder (3, n), which of them are cylinders, how far each extends from its centre, their numbers."""
+
+    centres: Array
+    turned: Array
+    sizes: Array
+    round: Mask
+    reach: Array
+    numbers: Index
+
+    @property
+    def level(self) -> Mask:
+        """Which of them stand upright."""
+        found: Mask = self.turned[2, 2] > _LEVEL
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Slice:
+    """What stands at one height: segments (n, 4) as x, y of both ends, seen only by who has the second end to the right
+    of the first; circles (n, 3) as x, y and radius."""
+
+    segments: Array
+    circles: Array
+
+
+class Scenery:
+    """All that stands there; obstacles are numbered from 0 in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._obstacles: list[Obstacle] = []
+        self._last: tuple[float, Slice] | None = None
+
+    def stand(self, obstacle: Obstacle) -> None:
+        """One more."""
+        self._obstacles.append(obstacle)
+        self._last = None
+
+    def move(self, number: int, by: Vector) -> Obstacle:
+        """Move an obstacle by a vector (m); return it at its new place."""
+        self._obstacles[number] = moved = shifted(self._obstacles[number], Point(*by))
+        self._last = None
+        return moved
+
+    def cut(self, z: float) -> Slice:
+        """At a height (m). That of the last call is kept: cars always ask for the same."""
+        if self._last is None or self._last[0] != z:
+            segments: list[tuple[float, float, float, float]] = []
+            circles: list[Vector] = []
+            for obstacle in self._obstacles:
+                _cut(obstacle, z, segments, circles)
+            self._last = z, Slice(np.array(segments).reshape(-1, 4), np.array(circles).reshape(-1, 3))
+        return self._last[1]
+
+
+def shifted(obstacle: Obstacle, by: Point) -> Obstacle:
+    """Return an obstacle moved by a vector (m)."""
+    match obstacle:
+        case Block(lo, hi):
+            return Block(lo + by, hi + by)
+        case Sphere(centre, radius):
+            return Sphere(centre + by, radius)
+        case Cylinder(base, radius, height):
+            return Cylinder(base + by, radius, height)
+        case Mesh(vertices, faces):
+            return Mesh(tuple(each + by for each in vertices), faces)
+
+
+def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
+    """For each lidar how far (m) each of its rays goes until an obstacle or another body; infinite: beyond its range.
+    The floor ends no ray, nor does a solid that the lidar is inside of."""
+    field = _Field(eyes)
+    slices = [scenery.cut(eye.place[2]) for eye in eyes]
+    others = field.others(bodies)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        segments = _Segments(field, [part.segments for part in slices], _outlines(bodies, others))
+        circles = _Circles(field, [part.circles for part in slices], _sections(bodies, others))
+        things, rays = field.spread(*(np.concatenate(pair) for pair in zip(segments.seen, circles.seen, strict=True)))
+        split = int(np.searchsorted(things, segments.count))
+        ways = field.ways[:, rays]
+        distances = np.concatenate(
+            (
+                segments.met(things[:split], ways[:, :split]),
+                circles.met(things[split:] - segments.count, ways[:, split:]),
+            )
+        )
+        field.hit(rays, distances)
+        if not bodies.level.all():
+            _see_tilted(field, bodies, others)
+    found = []
+    for eye, first in zip(eyes, field.first.tolist(), strict=True):
+        ranges = field.nearest[first : first + eye.rays]
+        ranges[ranges > eye.range] = np.inf
+        found.append(ranges)
+    return found
+
+
+def _outlines(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
+    """The four sides of those boxes that stand upright, as segments, and which lidar may see them."""
+    eye, body = np.nonzero(others & bodies.level & ~bodies.round)
+    if not len(eye):
+        return eye, np.zeros((4, 0))
+    ahead = bodies.turned[:2, 0, body] * (bodies.sizes[0, body] / 2)
+    left = bodies.turned[:2, 1, body] * (bodies.sizes[1, body] / 2)
+    centre = bodies.centres[:2, body]
+    front, rear = centre + ahead, centre - ahead
+    corners = np.stack((front + left, rear + left, rear - left, front - left))
+    sides = np.concatenate((corners, corners[[1, 2, 3, 0]]), axis=1)  # side, coordinate, body
+    return np.repeat(eye, 4), sides.transpose(1, 2, 0).reshape(4, -1)
+
+
+def _sections(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
+    """Those cylinders that stand upright, as circles, and which lidar may see them."""
+    eye, body = np.nonzero(others & bodies.level & bodies.round)
+    return eye, np.concatenate((bodies.centres[:2, body], bodies.sizes[:1, body] / 2))
+
+
+class _Field:
+    """All rays of some lidars, one after the other, and how far each has got."""
+
+    def __init__(self, eyes: Sequence[Eye]) -> None:
+        self.eyes = eyes
+        self.rays = np.array([eye.rays for eye in eyes], dtype=np.int64)
+        self.range = np.array([eye.range for eye in eyes])
+        self.places = np.array([eye.place[:2] for eye in eyes]).T
+        self.first: Index = np.cumsum(self.rays) - self.rays
+        angles = [_turn(eye.rays) for eye in eyes]
+        self.ways = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
+        self.nearest = np.full(self.ways.shape[1], np.inf)
+
+    def others(self, bodies: Bodies) -> Mask:
+        """Which bodies each lidar may see: all at its height but its own, (lidars, n)."""
+        heights = np.array([[eye.place[2]] for eye in self.eyes])
+        unseen = np.array([[eye.unseen] for eye in self.eyes])
+        tall = np.where(bodies.level, bodies.sizes[2] / 2, bodies.reach)
+        found: Mask = (np.abs(bodies.centres[2] - heights) <= tall) & (bodies.numbers != unseen)
+        return found
+
+    def spread(self, eye: Index, begin: Array, width: Array) -> tuple[Index, Index]:
+        """The rays of lidars between the angles `begin` and `begin + width`, one more at each side: for each the
+        number of the thing that is asked about, and its own."""
+        each = self.rays[eye]
+        step = math.tau / each
+        lowest = np.floor(begin / step).astype(np.int64)
+        count = np.minimum(np.ceil((begin + width) / step).astype(np.int64) - lowest + 1, each)
+        thing = np.repeat(np.arange(len(eye)), count)
+        ray = np.arange(len(thing)) + (lowest - (np.cumsum(count) - count))[thing]
+        return thing, self.first[eye][thing] + ray % each[thing]
+
+    def hit(self, ray: Index, distance: Array) -> None:
+        """Some rays end there, at the latest."""
+        np.minimum.at(self.nearest, ray, distance)
+
+
+_turns: dict[int, Array] = {}
+
+
+def _turn(rays: int) -> Array:
+    """The directions of so many rays, (2, n)."""
+    if rays not in _turns:
+        angles = np.arange(rays) * (math.tau / rays)
+        _turns[rays] = np.stack((np.cos(angles), np.sin(angles)))
+    return _turns[rays]
+
+
+def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
+    """The things of all lidars, and what they see of others, seen from there, a column each; and each one's lidar."""
+    eye = np.concatenate((np.repeat(np.arange(len(parts)), [len(part) for part in parts]), others[0]))
+    things = np.concatenate((*(part.T for part in parts), others[1]), axis=1)
+    places = field.places[:, eye]
+    things[:2] -= places
+    if len(things) == 4:
+        things[2:] -= places
+    return eye, things
+
+
+class _Segments:
+    """Those within the lidars' ranges. `seen` is for `_Field.spread`."""
+
+    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+        eye, ends = _gathered(field, parts, others)
+        along = ends[2:] - ends[:2]
+        area = ends[0] * along[1] - ends[1] * along[0]  # length by the line's distance, signed by which side it is on
+        near = area * area < (field.range * field.range)[eye] * total(along * along)
+        near &= area < 0.0  # its outer side
+        self._of_each = np.concatenate((ends[:2], along, area[None]))[:, near]
+        end, begin = np.arctan2(ends[1::2, near], ends[::2, near])
+        self.seen = eye[near], begin, (end - begin) % math.tau
+        self.count = len(begin)
+
+    def met(self, thing: Index, way: Array) -> Array:
+        """How far rays go until their segments; infinite: past them."""
+        x, y, along_x, along_y, area = self._of_each[:, thing]
+        turned = way[0] * along_y - way[1] * along_x
+        distance: Array = area / turned
+        share = (x * way[1] - y * way[0]) / turned
+        distance[(distance < 0.0) | ~(np.abs(share - 0.5) <= 0.5 + _SEAM)] = np.inf
+        return distance
+
+
+class _Circles:
+    """As `_Segments`."""
+
+    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+        eye, circles = _gathered(field, parts, others)
+        away = np.hypot(circles[0], circles[1])
+        near = (away > circles[2]) & (away - circles[2] < field.range[eye])
+        self._of_each = circles = circles[:, near]
+        half = np.arcsin(circles[2] / away[near])
+        self.seen = eye[near], np.arctan2(circles[1], circles[0]) - half, 2 * half
+
+    def met(self, thing: Index, way: Array) -> Array:
+        """As `_Segments`."""
+        x, y, radius = self._of_each[:, thing]
+        aside = way[0] * y - way[1] * x
+        distance: Array = way[0] * x + way[1] * y - np.sqrt(radius * radius - aside * aside)
+        distance[~(distance >= 0.0)] = np.inf  # not a number where the ray passes by
+        return distance
+
+
+def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
+    """Rays in the frame of the body: where each is within its limits along it, and across it."""
+    places = np.array([eye.place for eye in field.eyes])
+    apart = bodies.centres.T[None] - places[:, None]
+    away = np.hypot(apart[:, :, 0], apart[:, :, 1])
+    near = others & ~bodies.level & (away - bodies.reach < field.range[:, None])
+    eye, body = np.nonzero(near)
+    if not len(eye):
+        return
+    away = away[eye, body]
+    half = np.arcsin(np.minimum(1.0, bodies.reach[body] / away))
+    half = np.where(half < math.pi / 2, half, math.pi)
+    thing, ray = field.spread(eye, np.arctan2(apart[eye, body, 1], apart[eye, body, 0]) - half, 2 * half)
+    turned = bodies.turned[:, :, body]
+    origin = -total(turned * apart[eye, body].T[:, None])[:, thing]
+    way_x, way_y = field.ways[:, ray]
+    way = turned[0][:, thing] * way_x + turned[1][:, thing] * way_y
+    limits = bodies.sizes[:, body[thing]] / 2
+    # Along an axis that the ray is level with these are infinite, and both of one sign where it passes by.
+    one, other = (-limits - origin) / way, (limits - origin) / way
+    begins, ends = np.fmin(one, other), np.fmax(one, other)
+    rounded = bodies.round[body[thing]]
+    a, c = total(way[:2] * way[:2]), total(origin[:2] * origin[:2]) - limits[0] * limits[0]
+    b = total(way[:2] * origin[:2])
+    half_chord = np.sqrt(b * b - a * c)  # not a number where the ray passes by
+    begins[:2] = np.where(rounded, (-b - half_chord) / a, begins[:2])
+    ends[:2] = np.where(rounded, (half_chord - b) / a, ends[:2])
+    distance = np.maximum.reduce(begins)
+    distance[~((distance >= 0.0) & (distance <= np.minimum.reduce(ends)))] = np.inf
+    field.hit(ray, distance)
+
+
+def _cut(
+    obstacle: Obstacle, z: float, segments: list[tuple[float, float, float, float]], circles: list[Vector]
+) -> None:
+    """An obstacle at a height."""
+    match obstacle:
+        case Block(lo, hi) if lo.z <= z <= hi.z:
+            corners = ((lo.x, lo.y), (hi.x, lo.y), (hi.x, hi.y), (lo.x, hi.y))
+            segments.extend((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+        case Sphere(centre, radius) if abs(z - centre.z) < radius:
+            circles.append((centre.x, centre.y, math.sqrt(radius**2 - (z - centre.z) ** 2)))
+        case Cylinder(base, radius, height) if base.z <= z <= base.z + height:
+            circles.append((base.x, base.y, radius))
+        case Mesh(vertices, faces):
+            for face in faces:
+                cut = _crossed([vertices[i] for i in face], z)
+                if cut is not None:  # seen from both sides
+                    segments += [cut, (*cut[2:], *cut[:2])]
+
+
+def _crossed(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:
+    """Where a triangle is at a height: corners at that very height count as above it."""
+    found: list[tuple[float, float]] = []
+    for p, q in zip(corners, corners[1:] + corners[:1], strict=True):
+        if (p.z < z) != (q.z < z):
+            share = (z - p.z) / (q.z - p.z)
+            found.append((p.x + share * (q.x - p.x), p.y + share * (q.y - p.y)))
+    return (*found[0], *found[1]) if len(found) == 2 else None

@@ -1,0 +1,283 @@
+"""The world: robots and obstacles on a floor. All bodies of a kind move together, in arrays; a contact engine moves
+those that may touch something (contacts.py, near.py).
+
+Frame: local ENU, metres. The same bodies, seed and commands give the same motion to the last bit; a world serves one
+run.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from koordgen.runtime.values.obstacles import Obstacle
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.scenario import AUTO, Wind
+from targets.sim.physics.contacts import Solid, Touched
+from targets.sim.physics.engines import make
+from targets.sim.physics.near import LOOK_EVERY, Near
+from targets.sim.physics.rigid import Array, Mask, Motions, advance, rotations
+from targets.sim.physics.sight import Bodies, Eye, Scenery, look
+from targets.sim.physics.wind import Air
+
+STEP = 1 / 240  # seconds
+GRAVITY = 9.81
+
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Centre of mass (m), orientation (x, y, z, w), velocity (m/s) and spin (rad/s), all in the world's frame."""
+
+    position: Vector
+    orientation: Quaternion
+    velocity: Vector
+    spin: Vector
+
+    @property
+    def up(self) -> Vector:
+        """The body's own z axis."""
+        x, y, z, w = self.orientation
+        return (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
+
+
+class Kind(ABC):
+    """All bodies that move by the same law. A kind overrides `grow` for what it keeps of each, `push`, and what else is
+    not as here."""
+
+    rolling = False  # whether the floor carries them without contacts being asked for
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.motions = Motions.still(0)
+        self._told: tuple[int, list[BodyState]] = (-1, [])
+
+    @abstractmethod
+    def grow(self) -> None:
+        """There is one more, the last one."""
+
+    @abstractmethod
+    def push(self, air: Array | None, taken: Mask) -> None:
+        """Change velocities and spins by all that acts in one step but contacts. `air` is the wind; those `taken` are
+        the contact engine's to move."""
+
+    def steady(self) -> Mask:
+        """Of a kind that rolls, which ones stand on the floor as they should."""
+        return np.zeros(self.count, dtype=bool)
+
+    @abstractmethod
+    def place(self) -> tuple[Array, Array, Array]:
+        """Positions and velocities of the reference points, (3, n), and the bodies' yaws."""
+
+    def states(self, steps: int) -> list[BodyState]:
+        """The truth after so many steps."""
+        if self._told[0] != steps:
+            position, velocity, yaw = (array.tolist() for array in self.place())
+            places, speeds = zip(*position, strict=True), zip(*velocity, strict=True)
+            rates = self.motions.spin[2].tolist()
+            self._told = (steps, list(map(BodyState, places, speeds, yaw, rates)))
+        return self._told[1]
+
+    def forget(self) -> None:
+        """What was told is no longer so."""
+        self._told = (-1, [])
+
+
+Law = TypeVar("Law", bound=Kind)
+
+
+class Rigid:
+    """One body of the world: number `number` of all, `index` of its kind."""
+
+    def __init__(self, world: World, kind: Kind, number: int, index: int) -> None:
+        self._world, self._kind = world, kind
+        self.number, self.index = number, index
+
+    def state(self) -> BodyState:
+        return self._kind.states(self._world.steps)[self.index]
+
+    def motion(self) -> Motion:
+        now, k = self._kind.motions, self.index
+        position, velocity, spin = (tuple(a[:, k].tolist()) for a in (now.position, now.velocity, now.spin))
+        return Motion(position, tuple(now.orientation[:, k].tolist()), velocity, spin)
+
+    def throw(self, velocity: Vector, spin: Vector = (0.0, 0.0, 0.0)) -> None:
+        """Set its velocity (m/s) and spin (rad/s), as something outside the world would."""
+        self._kind.motions.velocity[:, self.index] = velocity
+        self._kind.motions.spin[:, self.index] = spin
+        self._kind.forget()
+        self._world.look_again()
+
+
+class World:
+    """A floor at z = 0 and what was put on it. `steps` counts what was simulated. Raises
+    contacts.NoEngine and contacts.NoWindow."""
+
+    def __init__(
+        self, wind: Wind | None = None, friction: float = 1.0, seed: int = 0, gui: bool = False, engine: str = AUTO
+    ) -> None:
+        self.engine = make(engine, STEP, friction, gui)
+        self.friction = friction  # of the floor; 1 is the usual one
+        self.steps = 0
+        self._near = Near()
+        self._scenery = Scenery()
+        self._kinds: dict[type[Kind], Kind] = {}
+        self._motions = Motions.still(0)
+        self._numbers: list[int] = []  # of bodies, by their row in the arrays
+        self._solids: list[Solid] = []  # by row, too
+        self._reach = np.zeros(0)
+        self._taken = np.zeros(0, dtype=bool)
+        self._rows: list[int] = []  # of those taken
+        self._crowded = False  # whether one of those may touch more than the floor
+        self._touched = Touched()
+        self._next_look = 0
+        self._wind, self._seed = wind or Wind(), seed
+        self._air = Air(self._wind, seed, 0)
+
+    @property
+    def time(self) -> float:
+        """Seconds simulated."""
+        return self.steps * STEP
+
+    def obstacle(self, obstacle: Obstacle) -> int:
+        """Something that no body moves; its number, from 0."""
+        self._near.stand(obstacle)
+        self._scenery.stand(obstacle)
+        self.look_again()
+        return self.engine.obstacle(obstacle)
+
+    def move(self, number: int, by: Vector) -> Obstacle:
+        """Move an obstacle by a vector (m), at once: it does not push what it passes. Return it at its new place."""
+        self._near.move(number, by)
+        self.engine.move(number, by)
+        self.look_again()
+        return self._scenery.move(number, by)
+
+    def blow(self, wind: Wind) -> None:
+        """From now on there is this wind."""
+        self._wind = wind
+        self._air.change(wind)
+
+    def add(self, law: type[Law], solid: Solid, centre: Vector, yaw: float) -> tuple[Law, Rigid]:
+        """Put a body of some kind somewhere, at rest and level; all of its kind, and itself."""
+        kind = self._kinds.setdefault(law, law())
+        assert isinstance(kind, law)
+        row = sum(k.count for k in self._before(kind)) + kind.count
+        kind.count += 1
+        start = Motions.still(1)
+        start.position[:, 0] = centre
+        start.orientation[2:, 0] = np.sin(yaw / 2), np.cos(yaw / 2)
+        old = self._motions
+        self._motions = Motions(
+            *(np.insert(getattr(old, name), row, getattr(start, name)[:, 0], axis=1)
+              for name in ("position", "orientation", "velocity", "spin"))
+        )  # fmt: skip
+        self._solids.insert(row, solid)
+        self._reach = np.array([each.reach for each in self._solids])
+        self._taken = np.insert(self._taken, row, False)
+        number = self.engine.body(solid)
+        self._numbers.insert(row, number)
+        self._shapes = (
+            np.array([each.size for each in self._solids]).T, np.array([each.round for each in self._solids]),
+            self._reach, np.array(self._numbers),
+        )  # fmt: skip
+        self._air = Air(self._wind, self._seed, len(self._numbers))
+        for each, rows in self._parts():
+            each.motions = self._motions.part(rows.start, rows.stop)
+            each.forget()
+        kind.grow()
+        self.look_again()
+        return kind, Rigid(self, kind, number, kind.count - 1)
+
+    def _before(self, kind: Kind) -> Iterator[Kind]:
+        for each in self._kinds.values():
+            if each is kind:
+                return
+            yield each
+
+    def _parts(self) -> Iterator[tuple[Kind, slice]]:
+        first = 0
+        for kind in self._kinds.values():
+            yield kind, slice(first, first + kind.count)
+            first += kind.count
+
+    def look_again(self) -> None:
+        """Before the next step, look anew which bodies may touch something."""
+        self._next_look = self.steps
+        self._rows = np.flatnonzero(self._taken).tolist()
+
+    def step(self) -> None:
+        """One step of all bodies."""
+        if self.steps >= self._next_look:
+            self._look()
+        air = self._air.step(STEP)
+        for kind, rows in self._parts():
+            blown = air if air is None or air.shape[1] == 1 else air[:, rows]
+            kind.push(blown, self._taken[rows])
+        advance(self._motions, STEP)
+        self._touched = self._contact() if self._rows else Touched()
+        self.steps += 1
+
+    def _look(self) -> None:
+        """Find who may touch something until the next look, and hand these over to the contact engine."""
+        seconds = LOOK_EVERY * STEP
+        floor = self._near.to_floor(self._motions, self._reach, seconds)
+        for kind, rows in self._parts():
+            if kind.rolling:
+                floor[rows] = ~kind.steady()
+        others = self._near.to_others(self._motions, self._reach, seconds)
+        taken = floor | others
+        for row in np.flatnonzero(taken & ~self._taken).tolist():
+            self.engine.take(self._numbers[row], *self._pose(row))
+        for row in np.flatnonzero(self._taken & ~taken).tolist():
+            self.engine.release(self._numbers[row])
+        self._taken, self._rows = taken, np.flatnonzero(taken).tolist()
+        self._crowded = bool(others.any())
+        self._next_look = self.steps + LOOK_EVERY
+        if self.engine.shown:
+            for row in np.flatnonzero(~taken).tolist():
+                self.engine.show(self._numbers[row], *self._pose(row))
+
+    def _pose(self, row: int) -> tuple[list[float], list[float]]:
+        return self._motions.position[:, row].tolist(), self._motions.orientation[:, row].tolist()
+
+    def _contact(self) -> Touched:
+        """Let the contact engine move those that are taken; return what touched."""
+        now, rows = self._motions, self._rows
+        velocity, spin = now.velocity[:, rows].T.tolist(), now.spin[:, rows].T.tolist()
+        numbers = [self._numbers[row] for row in rows]
+        moved = self.engine.step(zip(numbers, velocity, spin, strict=True))
+        found = [np.array(values).T for values in zip(*moved, strict=True)]
+        now.position[:, rows], now.orientation[:, rows], now.velocity[:, rows], now.spin[:, rows] = found
+        if not self._crowded:
+            return Touched()
+        touched = self.engine.touched()
+        if touched.bodies or touched.obstacles:
+            self._next_look = self.steps + 1  # what was hit may be much faster now
+        return touched
+
+    def touched(self) -> Touched:
+        """What touched in the last step."""
+        return self._touched
+
+    def grounded(self, body: Rigid) -> bool:
+        """Whether a body stands on the floor."""
+        row = self._numbers.index(body.number)
+        if self._taken[row]:
+            return self.engine.grounded(body.number)
+        return any(kind.rolling and rows.start <= row < rows.stop for kind, rows in self._parts())
+
+    def look(self, eyes: Sequence[Eye]) -> list[Array]:
+        """What lidars see: the distances along their rays (m), infinite where there is nothing."""
+        now = self._motions
+        bodies = Bodies(now.position, rotations(now.orientation), *self._shapes)
+        return look(eyes, self._scenery, bodies)
+
+    def close(self) -> None:
+        """Idempotent."""
+        self.engine.close()

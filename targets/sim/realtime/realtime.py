@@ -1,0 +1,119 @@
+"""A run in real time: a process for each agent, UDP between them, and a world that keeps up with the host's clock."""
+
+from __future__ import annotations
+
+import math
+import os
+import secrets
+import time
+from pathlib import Path
+
+import msgspec
+
+from targets.sim.base.medium import Medium
+from targets.sim.base.ports import NUMBERS
+from targets.sim.base.scenario import Robot, Scenario
+from targets.sim.physics.world import STEP
+from targets.sim.realtime.pace import MOST_BEHIND, Pace
+from targets.sim.realtime.relay import Relay
+from targets.sim.realtime.supervise import Process, overrides
+from targets.sim.run.crew import Step
+from targets.sim.run.stage import Actor, Stage
+
+
+class RealTime:
+    """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets the key and a folder of each robot."""
+
+    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
+        self._scenario, self._root, self._seed = scenario, root, seed
+        self._key_file = folder / "fleet.key"
+        self._key = secrets.token_bytes(32)
+        with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(self._key)
+        self._agents: list[Process] = []
+        for robot in scenario.robots:
+            own = folder / "robots" / robot.name
+            own.mkdir(parents=True)
+            self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
+        # An external autopilot's clock is the world's: where that stood still, it would be late for good.
+        external = any(robot.external for robot in scenario.robots)
+        self._most_behind = math.inf if external else MOST_BEHIND
+        self._pace = self._started()
+        self._medium: Medium | None = None
+        self._relay: Relay | None = None
+        self._numbers: list[int] = []
+
+    @property
+    def agents(self) -> list[Process]:
+        return self._agents
+
+    def stage(self) -> Stage:
+        return Stage(self._scenario, self._seed, self._key)
+
+    def launch(self, stage: Stage) -> None:
+        count = len(self._agents)
+        taken = self._numbers = [NUMBERS.take() for _ in range(2 * count)]
+        ports, controls = taken[:count], taken[count:]
+        if self._medium is not None:
+            self._relay = Relay(ports, self._seed, self._medium)
+        others = self._relay.ports if self._relay else ports
+        for pid, (agent, actor) in enumerate(zip(self._agents, stage.actors, strict=True)):
+            seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # it listens on its own
+            laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
+            agent.launch(laid_over, *self._simple(agent.robot, actor))
+        self._pace = self._started()
+
+    def _started(self) -> Pace:
+        return Pace(time.monotonic(), STEP, self._most_behind)
+
+    def _simple(self, robot: Robot, actor: Actor) -> tuple[list[str] | None, str]:
+        """What is run instead of a bundle, and the PYTHONPATH for it, for a robot that has no devices."""
+        found = getattr(actor.device, "agent", None)
+        if found is None:
+            return None, ""
+        bundle, drivers = str((self._root / robot.bundle).resolve()), msgspec.json.encode(self._scenario.drivers)
+        command = ["-m", "targets.sim.realtime.simple_agent", *found, bundle, drivers.decode()]
+        return command, os.pathsep.join((str(self._root.resolve()), bundle))
+
+    def disturb(self, medium: Medium) -> None:
+        """See Conduct. Only when it was asked for before the launch there is a relay."""
+        self._medium = medium
+        if self._relay is not None:
+            self._relay.change(medium)
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def go_on(self, step: Step) -> None:
+        """The steps that are due, then sleep until the next. A step that is made late has the time of its making, as
+        far as it is later than `MOST_BEHIND`: that is when agents learn of it."""
+        first = self._pace.done
+        for k in range(first, first + self._pace.due(time.monotonic())):
+            step(max(self._pace.tick(k), time.monotonic() - MOST_BEHIND))
+        time.sleep(max(0.0, self._pace.tick(self._pace.done) - time.monotonic()))
+
+    @property
+    def steps(self) -> int:
+        return self._pace.done
+
+    @property
+    def late(self) -> int:
+        return self._pace.late
+
+    @property
+    def factor(self) -> float:
+        return self._pace.factor(time.monotonic())
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The agents' time is that of other processes."""
+        return {}
+
+    def close(self) -> None:
+        for agent in self._agents:
+            agent.close()
+        if self._relay is not None:
+            self._relay.close()
+        while self._numbers:
+            NUMBERS.give_back(self._numbers.pop())
+        self._key_file.unlink(missing_ok=True)

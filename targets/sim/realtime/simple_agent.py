@@ -1,0 +1,81 @@
+"""The agent of a robot of fidelity `simple` in real time: the bundle's own program, in a process of its own, over a
+body that is moved by datagrams. `python -m targets.sim.realtime.simple_agent PLATFORM PORT BUNDLE DRIVERS [options of
+bundles]`: the sim bundle and the robot's are on PYTHONPATH, DRIVERS is JSON, a list of the three parts of each.
+"""
+
+from __future__ import annotations
+
+import importlib
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.agent.process import main
+from targets.sim.base.bodies import Asked, BodyState, Vector
+
+_encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode
+
+
+class RemoteBody:
+    """A body in the harness's process, which tells its state by datagrams to this port."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", port))
+        self._socket.setblocking(False)
+        self._harness: Any = None  # its address, once it is known
+
+    def state(self) -> BodyState | None:
+        """The newest that has come since this was asked last."""
+        newest: bytes | None = None
+        try:
+            while True:
+                newest, self._harness = self._socket.recvfrom(2048)
+        except OSError:  # no more
+            pass
+        try:
+            return None if newest is None else BodyState(*_decode(newest))
+        except msgspec.DecodeError:
+            return None
+
+    def fly(self, velocity: Vector, yaw_rate: float) -> None:
+        self._ask("fly", *velocity, yaw_rate)
+
+    def motors(self, on: bool) -> None:
+        self._ask("motors", float(on))
+
+    def drive(self, speed: float, steering: float) -> None:
+        self._ask("drive", speed, steering)
+
+    def brake(self, deceleration: float) -> None:
+        self._ask("brake", deceleration)
+
+    def _ask(self, what: str, *values: float) -> None:
+        if self._harness is not None:
+            try:
+                self._socket.sendto(_encode(Asked(what, values)), self._harness)
+            except OSError:
+                return  # lost, as any datagram may be: the next one comes soon
+
+
+def run(argv: list[str]) -> int:
+    """The exit status."""
+    platform, port, bundle, drivers, *options = argv
+    module, _, member = platform.partition(":")
+    make: Callable[..., Any] = getattr(importlib.import_module(module), member)
+    program = importlib.import_module("program").PROGRAM
+    properties = importlib.import_module("properties").PROPERTIES
+    found = {
+        served: getattr(importlib.import_module(name), cls)
+        for served, name, cls in msgspec.json.decode(drivers, type=list[tuple[str, str, str]])
+    }
+    body = RemoteBody(int(port))
+    return main(program, lambda settings, key: make(settings, key, body), Path(bundle), options, found, properties)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(sys.argv[1:]))

@@ -1,0 +1,201 @@
+"""The agents' processes: one per robot, each running its bundle unchanged, and what is known of each while it runs."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from targets.sim.base.scenario import Robot
+from targets.sim.run.crew import Agent
+from targets.sim.trace.schema import Record, Tail
+
+_SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
+_BEHIND = 5  # the niceness of agents: the world, on whose steps all of them wait, goes first
+# What an agent may end with when it was told to: done, or interrupted.
+GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
+
+
+def overrides(
+    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: Process
+) -> dict[str, Any]:
+    """What is laid over a robot's settings.json: the devices and addresses of this run."""
+    peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
+    return {
+        "robot": agent.robot.name,
+        "pid": agent.robot.pid,
+        "application_id": agent.application,  # with these three, the commands for real robots find those of the run
+        "peers": peers,
+        "bind": "",
+        "network": {"transport": "unicast"},  # groups and endpoints are those of the real network
+        "control": control,
+        "state": str(agent.state_folder.resolve()),
+        "key_file": str(key_file.resolve()),
+        "insecure": False,
+        "trace": str(agent.trace_file.resolve()),
+        "trace_limit": None,  # the run follows the file, and merges all of it at the end
+        "body": body,
+    }
+
+
+class Process(Agent):
+    """One robot's bundle as a process. Made, not yet launched. What it keeps is in `state` in its folder."""
+
+    def __init__(self, robot: Robot, bundle: Path, folder: Path, delta: float) -> None:
+        super().__init__(robot, folder, delta)
+        self.state_folder = folder / "state"
+        self._settings_file = folder / "settings.json"
+        self._bundle = bundle
+        self._tail = Tail(self.trace_file)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._settings: dict[str, Any] = {}
+        self._command: list[str] = []
+        self._path = ""
+        self._lives = [self.trace_file]  # a trace of each
+        self._thaw: threading.Timer | None = None
+        self._stopped: subprocess.Popen[bytes] | None = None  # the process that is frozen
+
+    @property
+    def application(self) -> int:
+        """The fleet's application_id, from the bundle's settings; 0 of a bundle without any."""
+        try:
+            settings = msgspec.json.decode((self._bundle / "settings.json").read_bytes())
+        except FileNotFoundError:
+            return 0
+        return int(settings["application_id"])
+
+    def launch(self, settings: dict[str, Any], command: list[str] | None = None, path: str = "") -> None:
+        """Start the process: the bundle, or in its place `command` with `path` as PYTHONPATH. Raises OSError."""
+        self._settings, self._command, self._path = settings, command or [str(self._bundle.resolve())], path
+        self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
+        # The numeric libraries of all agents share the cores of one host.
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+        if path:
+            environment["PYTHONPATH"] = path
+        with self.log_file.open("ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, *self._command, "--settings", str(self._settings_file.resolve())],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                cwd=self._settings_file.parent,
+                start_new_session=True,  # Ctrl-C on the terminal is the harness's to pass on
+                preexec_fn=_second_to_parent,
+            )
+
+    @property
+    def status(self) -> int | None:
+        return self._process.poll() if self._process else None
+
+    @property
+    def alive(self) -> bool:
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def process_id(self) -> int | None:
+        return self._process.pid if self._process is not None and self._process.poll() is None else None
+
+    def tell_end(self) -> None:
+        self.told = True
+        if self._process and self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            if self._thaw is None:  # a freeze without an end ends here, else it would not come to rest
+                self.thaw()
+
+    def kill(self) -> None:
+        if self._process and self._process.poll() is None:
+            self.killed = True
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+    def crash(self) -> None:
+        if self._process and self._process.poll() is None:
+            self.crashed = True
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+    def restart(self) -> None:
+        self.crash()
+        if not self.crashed or self.told:  # it ended by itself, or is not wanted any more
+            return
+        while self.look():
+            pass
+        # An agent writes its trace anew, so each life has a file of its own until the run's end.
+        self._lives.append(self.trace_file.with_name(f"trace-{len(self._lives) + 1}.jsonl"))
+        self._tail = Tail(self._lives[-1])
+        self.crashed = False
+        self.launch({**self._settings, "trace": str(self._lives[-1].resolve())}, self._command, self._path)
+
+    def freeze(self, seconds: float) -> None:
+        process = self._process
+        if process is None or process.poll() is not None:
+            return
+        self.thaw()  # a timer of an earlier life must not end this freeze
+        process.send_signal(signal.SIGSTOP)
+        self._stopped = process
+        if seconds < math.inf:
+            self._thaw = threading.Timer(seconds, self.thaw)
+            self._thaw.daemon = True
+            self._thaw.start()
+
+    @property
+    def frozen(self) -> bool:
+        return self._stopped is not None and self._stopped.poll() is None
+
+    def thaw(self) -> None:
+        process, self._stopped = self._stopped, None
+        if self._thaw is not None:
+            self._thaw.cancel()
+            self._thaw = None
+        if process is not None:
+            process.send_signal(signal.SIGCONT)
+
+    def close(self) -> None:
+        """End it, and make one trace of all its lives. Idempotent."""
+        if self._thaw is not None:
+            self._thaw.cancel()
+        self.kill()
+        while len(self._lives) > 1:
+            life = self._lives.pop(1)
+            if life.exists():
+                with self.trace_file.open("ab") as whole:
+                    whole.write(b"\n" + life.read_bytes())  # a life that was cut short ends within a line
+                life.unlink()
+
+    def look(self) -> list[Record]:
+        records = self._tail.read()
+        for record in records:
+            self._take(record)
+        return records
+
+    def _failed(self, status: int) -> str | None:
+        if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
+            return None
+        if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
+            return None  # it was on its way out when we told it, and Python heeded signals no longer
+        if status < 0:
+            return f"was killed by {signal.Signals(-status).name}"
+        own = self.resting.detail if self.resting else self.last_error
+        why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
+        return f"ended with status {status}: {why[0]}"
+
+
+def _second_to_parent() -> None:
+    """Runs in the child, which has a session of its own: should the harness be killed, its agents are told to come to
+    rest; where both want the processor, the harness has it first."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
+    with suppress(OSError):
+        os.nice(_BEHIND)
+    with suppress(OSError):  # where Linux shares the processor among sessions, niceness counts only within one
+        Path("/proc/self/autogroup").write_text(str(_BEHIND))

@@ -1,0 +1,81 @@
+"""How far the estimate of an autopilot with a GPS of its own is off: it wanders, and errs as the robot is upset."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+
+from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.upset import WELL, Upset
+
+WANDER = 2.0  # seconds over which the error forgets itself
+PERIOD = 0.2  # seconds between two fixes
+CORRECTED = 1.0  # seconds in which fixes that are wrong, or right again, draw the estimate to them
+HELD = 60.0  # seconds of past positions that a delay needs
+HERE: Vector = (0.0, 0.0, 0.0)
+NEAR = 1e-4  # metres: what is left of an error then is none
+
+
+class OwnGps:
+    """`noise` (m) is the standard deviation of the usual error. `fixed` is when its last fix came."""
+
+    def __init__(self, noise: float, upset: Upset, dice: random.Random) -> None:
+        self._noise, self._random = noise, dice
+        self.upset = upset
+        self.fixed = math.inf  # all come, as long as none was lost
+        self._next = -math.inf
+        self._usual: Vector = (0.0, 0.0, 0.0)
+        self._pulled: Vector = (0.0, 0.0, 0.0)
+        self._drift: Vector = (0.0, 0.0, 0.0)  # m/s
+        self._past: deque[tuple[float, Vector]] = deque()
+
+    def error(self, truth: BodyState, now: float, dt: float, bias: Vector) -> Vector:
+        """In metres, `dt` seconds after the last time; `bias` (m/s^2) is that of the accelerometers, by which it drifts
+        while no fix comes."""
+        wrong = self.upset.positioning
+        if wrong is WELL and self._pulled == HERE:
+            self.fixed = now
+            if self._noise:
+                self._wander(dt, self._noise)
+            return self._usual
+        if self._noise or wrong.noise:
+            self._wander(dt, math.hypot(self._noise, wrong.noise))
+        if wrong.delay:
+            self._past.append((now, truth.position))
+            while self._past and self._past[0][0] < now - HELD:
+                self._past.popleft()
+        elif self._past:
+            self._past.clear()
+        if now >= self._next:
+            self._next = max(self._next, now - PERIOD) + PERIOD
+            if not wrong.dropout or self._random.random() >= wrong.dropout:
+                self.fixed, self._drift = now, (0.0, 0.0, 0.0)
+        if wrong.dropout and now - self.fixed > PERIOD:
+            self._drift = _plus(self._drift, bias, dt)
+            self._pulled = _plus(self._pulled, self._drift, dt)
+        else:
+            told = _plus(wrong.bias, _plus(self._then(now - wrong.delay, truth.position), truth.position, -1.0), 1.0)
+            rest = _plus(told, self._pulled, -1.0)
+            self._pulled = _plus(self._pulled, rest, 1.0 - math.exp(-dt / CORRECTED))
+            if wrong is WELL and math.hypot(*rest) < NEAR:
+                self._pulled = HERE
+        return _plus(self._usual, self._pulled, 1.0)
+
+    def _wander(self, dt: float, noise: float) -> None:
+        """A first-order Gauss-Markov error."""
+        keep = math.exp(-dt / WANDER) if dt else 0.0
+        fresh = noise * math.sqrt(1 - keep * keep)
+        (x, y, z), gauss = self._usual, self._random.gauss
+        self._usual = (keep * x + gauss(0, fresh), keep * y + gauss(0, fresh), keep * z + gauss(0, fresh))
+
+    def _then(self, time: float, present: Vector) -> Vector:
+        """Where it was at that time, as far as that is known."""
+        while len(self._past) > 1 and self._past[1][0] <= time:
+            self._past.popleft()
+        return self._past[0][1] if self._past else present
+
+
+def _plus(a: Vector, b: Vector, share: float) -> Vector:
+    """a + share * b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]

@@ -1,0 +1,118 @@
+"""Beliefs: what each robot knew at a time: its sensors, locals, actuators and its copy of the shared store.
+
+A robot's record of a round has what changed in its copy before its event, and what the event wrote. Taken in one after
+the other, records give the whole at each time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import msgspec
+
+from targets.sim.trace.schema import Header, Init, Phase, Pose, Record, Round, Values, fault_text
+
+IDLE = "no event enabled"  # reason for which a robot with a current copy of the store skipped a round
+Of = Literal["sensor", "local", "actuator", "shared"]
+_decoder = msgspec.json.Decoder()
+
+
+class Change(msgspec.Struct, frozen=True):
+    """From now on a robot has this value. `slot` is the pid whose slot of an allread variable it is, else None."""
+
+    of: Of
+    name: str
+    slot: int | None
+    value: Any
+
+
+@dataclass(slots=True)
+class Belief:
+    """One robot at a time. `round` is its present one, 0 before the first, `did` what came of it, in words; `copied` is
+    the last round in which it looked at its copy. Of an allread variable `shared` has a dict by pid."""
+
+    position: tuple[float, float, float] | None = None  # the truth (m, local ENU)
+    phase: str = ""
+    round: int = 0
+    did: str = ""
+    copied: int = 0
+    sensors: dict[str, Any] = field(default_factory=dict)
+    locals: dict[str, Any] = field(default_factory=dict)
+    actuators: dict[str, Any] = field(default_factory=dict)
+    shared: dict[str, Any] = field(default_factory=dict)
+
+
+class Beliefs:
+    """All robots, by pid; `take` records in the order of the trace."""
+
+    def __init__(self, header: Header) -> None:
+        self._slots = {v.name for v in header.shared if v.kind == "allread"}
+        self.robots = {robot.pid: Belief() for robot in header.robots}
+
+    def take(self, record: Record) -> list[Change]:
+        """Take in one record; return what it changed."""
+        belief = self.robots.get(getattr(record, "pid", -1))
+        if belief is None:
+            return []
+        match record:
+            case Pose(position=position):
+                belief.position = position
+            case Phase(phase=phase):
+                belief.phase = phase
+            case Init():
+                belief.did = "init"
+                return self._apply(belief, self._changes(record, record.pid))
+            case Round():
+                belief.round, belief.did = record.round, _did(record)
+                if record.event is not None or record.fault is not None or record.skipped == IDLE:
+                    belief.copied = record.round
+                return self._apply(belief, self._changes(record, record.pid))
+            case _:
+                pass
+        return []
+
+    def _changes(self, record: Init | Round, pid: int) -> Iterator[Change]:
+        if isinstance(record, Round):
+            for name, raw in record.copy.items():
+                value = _decoder.decode(raw)
+                if name in self._slots and isinstance(value, dict):
+                    yield from (Change("shared", name, int(p), each) for p, each in value.items() if p.isdigit())
+                else:
+                    yield Change("shared", name, None, value)
+            if record.restored is not None:
+                yield from _own("local", record.restored.locals)
+                yield from _own("actuator", record.restored.actuators)
+        yield from _own("sensor", record.sensors)
+        yield from _own("local", record.locals)
+        yield from _own("actuator", record.actuators)
+        for name, raw in record.shared.items():
+            yield Change("shared", name, pid if name in self._slots else None, _decoder.decode(raw))
+
+    def _apply(self, belief: Belief, changes: Iterator[Change]) -> list[Change]:
+        """Keep the last value of each; return those that are new."""
+        found = {(change.of, change.name, change.slot): change for change in changes}
+        return [change for change in found.values() if _set(belief, change)]
+
+
+def _own(of: Of, values: Values) -> Iterator[Change]:
+    return (Change(of, name, None, _decoder.decode(raw)) for name, raw in values.items())
+
+
+def _set(belief: Belief, change: Change) -> bool:
+    """Keep the value; return whether it is another than before."""
+    groups = {"sensor": belief.sensors, "local": belief.locals, "actuator": belief.actuators, "shared": belief.shared}
+    group = groups[change.of]
+    key: Any = change.name
+    if change.slot is not None:
+        group, key = group.setdefault(change.name, {}), change.slot
+    changed = key not in group or group[key] != change.value
+    group[key] = change.value
+    return changed
+
+
+def _did(record: Round) -> str:
+    if record.fault is not None:
+        return f"fault: {fault_text(record.fault)}"
+    return f"skipped: {record.skipped}" if record.skipped is not None else record.event or ""

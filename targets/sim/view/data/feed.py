@@ -1,0 +1,131 @@
+"""A companion that passes on what happens in a run while it happens, with times since round 1: base of the views.
+
+Before round 1 times count from the launch. When it is known that round 1 has begun, `_anew` is called, and all that was
+passed on before does not count.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from targets.sim.base.bodies import BodyState
+from targets.sim.run.crew import Agent
+from targets.sim.trace.schema import Header, Init, Phase, Pose, Record, Round, Violation
+
+if TYPE_CHECKING:
+    from targets.sim.run.run import Run
+
+POSE_EVERY = 12  # steps, as in the trace
+
+
+class Feed(ABC):
+    """Implements `crew.Companion`. Nothing of it gets into the trace."""
+
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._names = [robot.name for robot in header.robots]
+        self._steps = 0
+        self._told = 0  # marks of the run
+        self._seen: set[tuple[str, tuple[int, int]]] = set()  # what the stage's watch has found
+        self._begun = False
+        self._early: list[tuple[Agent, list[Record]]] = []  # heard before it was known when round 1 began
+
+    @abstractmethod
+    def _take(self, record: Record, t: float) -> None:
+        """Pass on one record; `t` is its time, whatever it says itself."""
+
+    @abstractmethod
+    def _anew(self) -> None:
+        """Round 1 has begun: forget what was passed on."""
+
+    @abstractmethod
+    def _send(self) -> None:
+        """Send what was gathered, if it is time for that."""
+
+    def launched(self, run: Run) -> None:
+        """See Companion."""
+        self._run = run
+        self._launched = run.conduct.now()
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        """Poses at the rate of the trace's."""
+        self._steps += 1
+        if self._steps % POSE_EVERY != 1:
+            return
+        if not self._begun and self._run.zero is not None:
+            self._begin()
+        t = self._t(at)
+        for pid, state in enumerate(states):
+            self._take(Pose(pid, state.position, state.yaw), t)
+        self._marks()
+        self._send()
+
+    def show(self, at: float, states: list[BodyState]) -> None:
+        """Pass on the poses at a time between two of the trace's, and all else, at once."""
+        for pid, state in enumerate(states):
+            self._take(Pose(pid, state.position, state.yaw), self._t(at))
+        self._marks()
+        self.flush()
+
+    @abstractmethod
+    def flush(self) -> None:
+        """Send what was gathered, as far as it can be sent without waiting."""
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        """See Companion."""
+        if not self._begun:
+            self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
+        for record in records:
+            if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
+                own = msgspec.structs.replace(record, pid=agent.robot.pid)
+                self._take(own, self._t(getattr(record, "time", 0.0)))
+
+    def end(self, at: float) -> None:
+        """See Companion."""
+        self._marks()
+        self.flush()
+
+    def _t(self, at: float) -> float:
+        """Seconds since round 1, before that since the launch."""
+        t = self._run.t(at) if self._begun else None
+        return at - self._launched if t is None else t
+
+    def _begin(self) -> None:
+        """Round 1 has been heard of: from now on times count from it."""
+        self._begun = True
+        self._anew()
+        for agent in self._run.conduct.agents:
+            self._take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
+        for agent, records in self._early:
+            self.heard(agent, records)
+        self._early.clear()
+
+    def _marks(self) -> None:
+        """What was found since the last time, by the stage's watch and by other companions."""
+        watch = self._run.stage.watch
+        for (i, j), close in watch.too_close.items():
+            if self._new("separation", (i, j)):
+                detail = f"{close.distance:.3f} m apart, less than {watch.min_separation:g} m"
+                self._violation(close.time, "separation", (i, j), detail)
+        for (i, j), at in watch.collisions.items():
+            if self._new("collision", (i, j)):
+                self._violation(at, "collision", (i, j), "their bodies touched")
+        for (i, number), at in watch.bumps.items():
+            if self._new("bump", (i, number)):
+                self._violation(at, "collision", (i,), f"touched obstacle {number}")
+        marks = self._run.marks
+        for mark in marks[self._told :]:
+            self._take(mark, self._t(mark.t))
+        self._told = len(marks)
+
+    def _new(self, what: str, who: tuple[int, int]) -> bool:
+        known = (what, who) in self._seen
+        self._seen.add((what, who))
+        return not known
+
+    def _violation(self, at: float, what: str, pids: tuple[int, ...], detail: str) -> None:
+        t = self._t(at)
+        self._take(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)

@@ -1,0 +1,257 @@
+"""What the pages show of a trace, as rows: one form for the report, which embeds them, and for the live view, which
+sends them on. `page/model.js` reads them; numbers are rounded to what can be seen.
+
+| table | rows |
+|---|---|
+| poses | pid, t, x, y, z, yaw |
+| rounds | pid, first t, last t, how many in a row, outcome (0 event, 1 skipped, 2 fault), what |
+| phases | pid, t, phase, detail |
+| logs | pid, t, level, text |
+| shared | name, writer's pid, t, round, value as JSON |
+| locals | pid, t, round, name, value as JSON |
+| paths | pid, t, points |
+| scans | pid, t, place of the lidar, what its rays met: cm east and north of there, one after the other |
+| late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
+| links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
+| near | t, distance of the closest pair (m), their pids |
+| marks | t, kind, what, robots' names, detail; of a cause that goes on how long (s) |
+| obstacles | t, number, the obstacle at the place to which it was moved |
+| markers | t, number, state (0 to do, 1 taken, 2 done); with the first one name, position, radius if it is of a list |
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from koordgen.runtime.values.points import Point, Scan
+from targets.sim.base.bodies import Vector
+from targets.sim.trace.noticed import Notable, said
+from targets.sim.trace.schema import (
+    Cause,
+    End,
+    Header,
+    Init,
+    Log,
+    Metrics,
+    Monitor,
+    Moved,
+    Phase,
+    Pose,
+    Record,
+    Round,
+    Stream,
+    Verdict,
+    Violation,
+    fault_text,
+)
+from targets.sim.view.data.markers import Markers
+
+EVENT, SKIPPED, FAULT = 0, 1, 2
+Chunk = dict[str, list[list[Any]]]
+SCAN_EVERY = 1.0  # seconds between the scans of one robot that become rows
+_decoder = msgspec.json.Decoder()
+_scan_decoder = msgspec.json.Decoder(list[tuple[Point, Scan]])
+
+
+class Rows:
+    """Makes rows of records, one after the other; `taken` gives those since the last time."""
+
+    def __init__(self, header: Header) -> None:
+        self._count = len(header.robots)
+        self._names = [robot.name for robot in sorted(header.robots, key=lambda robot: robot.pid)]
+        self._notable = Notable()
+        self._delta = header.delta
+        self._chunk: Chunk = {}
+        self._second: dict[int, list[Any]] = {}
+        self._near = _Nearest(self._count)
+        self._paths: dict[int, bytes] = {}
+        self._scanned: dict[int, float] = {}  # t of each robot's last row of `scans`
+        self._markers = Markers(header)
+        self._slots = {v.name for v in header.shared if v.kind == "allread"}
+        self._begun: set[str] = set()  # variables of which a first value is known
+
+    def taken(self) -> Chunk:
+        """The rows since the last time, by table."""
+        if self._markers.rows:
+            self._chunk["markers"], self._markers.rows = self._markers.rows, []
+        chunk, self._chunk = self._chunk, {}
+        return chunk
+
+    def take(self, record: Record, t: float) -> None:
+        """Make rows of one record; `t` is its time, whatever it says itself."""
+        t = round(t, 3)
+        match record:
+            case Violation(what=what, robots=robots):
+                detail = " ".join(filter(None, (record.name, record.line, record.detail, record.host)))
+                self._add("marks", [t, "violation", what, list(robots), detail])
+            case End(why=why):
+                self._add("marks", [t, "end", why, [], ""])
+            case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
+                self._add("marks", [t, "cause", what, list(robots), detail, *(() if lasts is None else (lasts,))])
+            case Moved(number=number, obstacle=obstacle):
+                self._add("obstacles", [t, number, msgspec.to_builtins(obstacle)])
+            case Verdict():
+                what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
+                detail = ", ".join(filter(None, (record.line, record.detail)))
+                self._add("marks", [t, "verdict", what, list(record.robots), detail])
+            case Monitor() if 0 <= record.pid < self._count and self._notable.take(record):
+                detail = ": ".join(filter(None, (record.line, record.why)))
+                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], detail])
+            case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
+                self._of_robot(record, t)
+            case _:
+                pass
+
+    def _of_robot(self, record: Pose | Phase | Init | Round | Log | Stream | Metrics, t: float) -> None:
+        pid = record.pid
+        match record:
+            case Pose(position=position, yaw=yaw):
+                self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
+                self._markers.pose(position, t)
+                if (near := self._near.take(pid, t, position)) is not None:
+                    self._add("near", near)
+            case Phase(phase=phase, detail=detail):
+                self._add("phases", [pid, t, phase, detail])
+            case Log(level=level, message=message):
+                self._add("logs", [pid, t, level, message])
+            case Stream(port=port, text=text):
+                self._add("logs", [pid, t, port, text])
+            case Metrics():
+                self._add("links", [pid, t, _links(record), sum(record.rejected.values())])
+            case Init():
+                self._writes(record, 0, t)
+            case Round():
+                self._first_values(record, t)
+                self._round(record, t)
+                self._scan(record, t)
+
+    def _add(self, table: str, row: list[Any]) -> None:
+        self._chunk.setdefault(table, []).append(row)
+
+    def _round(self, record: Round, t: float) -> None:
+        if record.fault is not None:
+            outcome, what = FAULT, fault_text(record.fault)
+        elif record.skipped is not None:
+            outcome, what = SKIPPED, record.skipped
+        else:
+            outcome, what = EVENT, record.event or ""
+        self._add("rounds", [record.pid, t, t, 1, outcome, what])
+        if record.restored is not None:
+            for name, raw in record.restored.locals.items():
+                self._add("locals", [record.pid, t, record.restored.round, name, _decoder.decode(raw)])
+        self._writes(record, record.round, t)
+        self._lateness(record, t)
+
+    def _first_values(self, record: Round, t: float) -> None:
+        """What nobody has written yet: the first copy of the store that is told has it."""
+        for name, raw in record.copy.items():
+            if name in self._begun:
+                continue
+            self._begun.add(name)
+            value = _decoder.decode(raw)
+            if name in self._slots and isinstance(value, dict):
+                for pid, each in value.items():
+                    if pid.isdigit():
+                        self._add("shared", [name, int(pid), t, 0, each])
+            else:
+                self._add("shared", [name, record.pid, t, 0, value])
+                self._markers.value(name, value, t)
+
+    def _writes(self, record: Init | Round, number: int, t: float) -> None:
+        """Add rows for what was written: locals, the shared store, and where to go, a path or a single target."""
+        for name, raw in record.locals.items():
+            self._add("locals", [record.pid, t, number, name, _decoder.decode(raw)])
+        for name, raw in record.shared.items():
+            value = _decoder.decode(raw)
+            self._add("shared", [name, record.pid, t, number, value])
+            self._markers.value(name, value, t)
+        for port, raw in record.actuators.items():
+            if not port.endswith((".target", ".path")) or bytes(raw) == self._paths.get(record.pid):
+                continue
+            self._paths[record.pid] = bytes(raw)
+            value = _decoder.decode(raw)
+            points = [value] if port.endswith(".target") else value
+            if isinstance(points, list) and all(map(_is_point, points)):
+                self._add("paths", [record.pid, t, [[_small(c) for c in point] for point in points]])
+
+    def _scan(self, record: Round, t: float) -> None:
+        """Add a row for the newest lidar scan that the round's event could see, at most every SCAN_EVERY seconds."""
+        if t < self._scanned.get(record.pid, -math.inf) + SCAN_EVERY:
+            return
+        for port, raw in record.sensors.items():
+            if not port.endswith(".pscan"):
+                continue
+            with suppress(msgspec.DecodeError):
+                if scans := _scan_decoder.decode(raw):
+                    place, scan = scans[-1]
+                    hits: list[int] = []
+                    for angle, reach in zip(scan.angles, scan.ranges, strict=False):
+                        if reach < scan.max_range:
+                            hits += round(100 * reach * math.cos(angle)), round(100 * reach * math.sin(angle))
+                    self._add("scans", [record.pid, t, [_small(c) for c in (place.x, place.y, place.z)], hits])
+                    self._scanned[record.pid] = t
+
+    def _lateness(self, record: Round, t: float) -> None:
+        second = math.floor(t)
+        row = self._second.get(record.pid)
+        if row is None or row[1] != second:
+            if row is not None:
+                self._add("late", row)
+            row = self._second[record.pid] = [record.pid, second, 0.0, 0, 0]
+        row[2] = max(row[2], round(record.late, 4))
+        row[3] += 1
+        row[4] += record.was_late(self._delta)
+
+    def end(self) -> None:
+        """The trace is over: what was still gathered becomes rows."""
+        for row in self._second.values():
+            self._add("late", row)
+        self._second.clear()
+
+
+class _Nearest:
+    """The distance of the closest pair at each time at which all robots' poses are known."""
+
+    def __init__(self, count: int) -> None:
+        self._places = np.full((count, 3), np.nan)
+        self._left, self._right = np.triu_indices(count, 1)
+        self._last = count - 1
+
+    def take(self, pid: int, t: float, position: Vector) -> list[Any] | None:
+        self._places[pid] = position
+        if pid != self._last or pid == 0:
+            return None
+        apart = np.linalg.norm(self._places[self._left] - self._places[self._right], axis=1)
+        k = int(np.argmin(apart))  # a NaN comes first: someone has no pose yet
+        if math.isnan(apart[k]):
+            return None
+        return [t, _small(float(apart[k])), int(self._left[k]), int(self._right[k])]
+
+
+def _small(metres: float) -> float:
+    return round(metres, 3) + 0.0  # no -0.0
+
+
+def _is_point(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(type(c) in (int, float) for c in value)
+
+
+def _links(record: Metrics) -> list[list[Any]]:
+    rows = []
+    for peer, found in record.peers.items():
+        delay = found.get("delay_ms") or {}
+        if peer.isdigit() and isinstance(delay, dict):
+            figures = (
+                found.get("loss"),
+                delay.get("p50"),
+                delay.get("p99"),
+                found.get("silent_ms"),
+                found.get("repeats"),
+            )
+            rows.append([int(peer), *figures])
+    return rows

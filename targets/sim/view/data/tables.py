@@ -1,0 +1,125 @@
+"""A trace as CSV: a file for each kind of record, whole, for spreadsheets and pandas. `COLUMNS` says what is in each.
+
+t is in seconds since the start of round 1, places in metres (local ENU), yaw in radians; values of the program are
+JSON. A file without records has its heads alone.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from targets.sim.trace.beliefs import Beliefs
+from targets.sim.trace.schema import (
+    Cause,
+    End,
+    Header,
+    Init,
+    Log,
+    Metrics,
+    Monitor,
+    Phase,
+    Pose,
+    Record,
+    Round,
+    Stream,
+    Verdict,
+    Violation,
+    fault_text,
+)
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "poses": ("t", "robot", "x", "y", "z", "yaw"),
+    "rounds": ("t", "robot", "round", "event", "skipped", "fault", "late"),
+    "values": ("t", "robot", "round", "of", "name", "value"),
+    "beliefs": ("t", "robot", "round", "of", "name", "slot", "value"),
+    "phases": ("t", "robot", "phase", "detail"),
+    "logs": ("t", "robot", "level", "text"),
+    "links": ("t", "robot", "peer", "loss", "delay_p50_ms", "delay_p99_ms", "silent_ms", "repeats"),
+    "monitors": ("t", "robot", "round", "of", "name", "line", "outcome", "age", "why", "action"),
+    "marks": ("t", "kind", "what", "robots", "name", "line", "detail"),
+}
+Row = tuple[Any, ...]
+
+
+def write(folder: Path, header: Header, records: Iterable[Record]) -> None:
+    """Write all tables into `folder`, reading the records once. Raises BadTrace, OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = {robot.pid: robot.name for robot in header.robots}
+    with ExitStack() as stack:
+        tables = {}
+        for table, columns in COLUMNS.items():
+            file = stack.enter_context((folder / f"{table}.csv").open("w", newline="", encoding="utf-8"))
+            tables[table] = csv.writer(file)
+            tables[table].writerow(columns)
+        beliefs = Beliefs(header)
+        for record in records:
+            for table, row in (*_rows(record, names), *_believed(record, beliefs, names)):
+                tables[table].writerow(row)
+
+
+def _believed(record: Record, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
+    """Rows for what a robot knows from now on: locals, and shared variables by its own copy."""
+    for change in beliefs.take(record):
+        if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
+            robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))
+            value = msgspec.json.encode(change.value).decode()
+            yield "beliefs", (record.t, robot, getattr(record, "round", 0), change.of, change.name, slot, value)
+
+
+def _rows(record: Record, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
+    t = record.t if not isinstance(record, Header) else 0.0
+    match record:
+        case Violation(what=what, robots=robots, detail=detail, name=name, line=line):
+            yield "marks", (t, "violation", what, " ".join(robots), name, line, detail)
+        case Verdict(of=of, name=name, line=line, outcome=outcome, robots=robots, detail=detail):
+            yield "marks", (t, f"verdict on {of}", outcome, " ".join(robots), name, line, detail)
+        case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
+            for_so_long = "" if lasts is None else f"for {lasts:g} s"
+            told = " ".join(filter(None, (detail, for_so_long)))
+            yield "marks", (t, "cause", what, " ".join(robots), "", "", told)
+        case End(why=why):
+            yield "marks", (t, "end", why, "", "", "", "")
+        case Pose() | Init() | Round() | Phase() | Log() | Stream() | Monitor() | Metrics():
+            yield from _of_robot(record, t, names.get(record.pid, f"robot {record.pid}"))
+        case _:
+            pass
+
+
+def _of_robot(
+    record: Pose | Init | Round | Phase | Log | Stream | Monitor | Metrics, t: float, robot: str
+) -> Iterator[tuple[str, Row]]:
+    match record:
+        case Pose(position=(x, y, z), yaw=yaw):
+            yield "poses", (t, robot, x, y, z, yaw)
+        case Phase(phase=phase, detail=detail):
+            yield "phases", (t, robot, phase, detail)
+        case Log(level=level, message=message):
+            yield "logs", (t, robot, level, message)
+        case Stream(port=port, text=text):
+            yield "logs", (t, robot, port, text)
+        case Monitor(of=of, name=name, line=line, outcome=outcome, age=age, why=why, action=action):
+            yield "monitors", (t, robot, record.round, of, name, line, outcome, age, why, action)
+        case Metrics(peers=peers):
+            for peer, found in peers.items():
+                delay = found.get("delay_ms") or {}
+                figures = (found.get("loss"), delay.get("p50"), delay.get("p99"), found.get("silent_ms"))
+                yield "links", (t, robot, peer, *figures, found.get("repeats"))
+        case Init():
+            yield from _values(record, t, robot, 0)
+        case Round(round=number, event=event, skipped=skipped, fault=fault, late=late):
+            told = "" if fault is None else fault_text(fault)
+            yield "rounds", (t, robot, number, event or "", skipped or "", told, late)
+            yield from _values(record, t, robot, number)
+
+
+def _values(record: Init | Round, t: float, robot: str, number: int) -> Iterator[tuple[str, Row]]:
+    groups = {"sensor": record.sensors, "local": record.locals, "shared": record.shared, "actuator": record.actuators}
+    for of, values in groups.items():
+        for name, raw in values.items():
+            yield "values", (t, robot, number, of, name, bytes(raw).decode())

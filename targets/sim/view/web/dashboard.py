@@ -1,0 +1,256 @@
+"""The dashboard's server: the live view's page with a table of the robots, fed by the reports of real agents.
+
+It changes nothing, but for `stop`: the emergency stop, if it was given one. Another site can neither read the page (see
+Server) nor send that command (see Guard). With a token, a browser sends it once and has a cookie from then on.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import socket
+import socketserver
+import ssl
+import threading
+import time
+from collections.abc import Callable, Collection, Mapping
+from html import escape
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+import msgspec
+
+from targets.sim.trace.schema import FORMAT, Header, RobotName
+from targets.sim.view.foxglove.stream import FoxgloveServer
+from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
+from targets.sim.view.web.guard import Guard
+from targets.sim.view.web.page import page
+from targets.sim.view.web.serve import Handler, Hub, Server
+
+TICK = 0.2  # seconds from one event for the pages to the next
+MOST_BROWSERS = 64  # that have sent the token and hold a cookie
+LONGEST_BODY = 1024  # bytes
+COOKIE = "koordgen-dashboard"
+Stop = Callable[[], list[dict[str, Any]]]
+
+HEAD = """<header id="head"><h1>{title}</h1><p id="summary">no report yet</p>{stop}</header>
+<section id="fleet"><h2>Robots</h2><div class="wide"><table><thead><tr><th>robot</th><th>phase</th>
+<th class="n" title="seconds since the robot's last report">age (s)</th><th>note</th><th class="n">battery</th>
+<th title="the release's first digits">runs</th><th>monitors</th><th>position (m), heading</th><th class="n">round</th>
+<th class="n" title="rounds in which the shared state was there in time">current</th>
+<th class="n" title="of datagrams, on the worst link">loss</th>
+<th class="n" title="99 % of all rounds are decided so soon after their tick">late (ms)</th>
+<th class="n" title="how far its clock may be off the fleet's">clock (ms)</th><th class="n">disk (GB)</th>
+<th class="n">temp (°C)</th></tr></thead><tbody id="robots"></tbody></table></div></section>
+<section id="said"><h2>Log</h2><div class="wide scroll"><table><thead><tr><th class="n">time</th><th>robot</th>
+<th>level</th><th>line</th></tr></thead><tbody id="lines"></tbody></table></div></section>"""
+STOP = """<aside id="emergency"><div id="stopped" role="alert"></div>
+<button id="stop" aria-describedby="stopped">Hold 1 s to STOP all robots</button></aside>"""
+LOGIN = """<!doctype html><html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1"><title>dashboard</title></head>
+<body style="font: 18px sans-serif; max-width: 30rem; margin: 3rem auto; padding: 0 1rem">
+<h1>Dashboard</h1><p>{words}</p><form method="post" action="/login">
+<p><label>Token <input name="token" type="password" autocomplete="off" required
+style="font: inherit; width: 100%"></label></p>
+<button style="font: inherit; padding: .6rem 1.4rem">Open</button></form></body></html>"""
+LOGIN_POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'"
+
+
+def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Header:
+    """Return the header of a fleet: names and targets of its robots by pid, and plain values of `facts` (delta,
+    geofence, obstacles, world), as far as they are known."""
+    names = tuple(RobotName(name, pid, target) for pid, (name, target) in enumerate(robots))
+    bare = Header(FORMAT, "", "", 0.0, 0, names)
+    try:
+        return msgspec.convert({**msgspec.to_builtins(bare), **facts}, Header)
+    except msgspec.ValidationError:  # a folder of another release: the map has no obstacles
+        return bare
+
+
+class Dashboard:
+    """Sends reports to the pages. `odd` returns the names of robots whose release differs from that of most.
+    `stream`: where the same goes for Foxglove, if anywhere; it is closed with the dashboard."""
+
+    def __init__(
+        self, header: Header, odd: Callable[[], Collection[str]], stream: FoxgloveServer | None = None
+    ) -> None:
+        self.hub = Hub(header, Latest)
+        self._stream = stream
+        self._rows = FleetRows(header)
+        self._odd = odd
+        self._lock = threading.Lock()
+        self._zero, self._wall = time.monotonic(), time.time()
+        self._made = secrets.token_urlsafe(8)
+        self._renewed = 0
+        self._over = threading.Event()
+
+    def take(self, pid: int, plain: Mapping[str, Any] | None, note: str) -> None:
+        """Take what came of a question to robot `pid`: its report, or None and why there is none. May be called from
+        any thread. An error of the dashboard itself is shown in that robot's row, and the others go on."""
+        t = time.monotonic() - self._zero
+        report = None if plain is None else read_report(plain)
+        with self._lock:
+            if report is None or isinstance(report, str):
+                self._rows.miss(pid, report or note, t)
+                return
+            try:
+                self._take(pid, report, note, t)
+            except Exception as error:
+                self._rows.miss(pid, f"internal error of the dashboard: {type(error).__name__}: {error}", t)
+
+    def _take(self, pid: int, report: Report, note: str, t: float) -> None:
+        header = completed(self._rows.header, report)
+        if header is not self._rows.header:
+            self._rows.renew(header)
+            self.hub.renew(header)
+            if self._stream is not None:
+                self._stream.renew(header, self._nanoseconds(t))
+            self._renewed += 1
+        self._rows.take(pid, report, note, t)
+
+    @property
+    def version(self) -> str:
+        """Differs when pages must be loaded anew: the header has changed, or the dashboard has begun anew."""
+        return f"{self._made}-{self._renewed}"
+
+    def tick(self) -> None:
+        """Tell the pages all that is new."""
+        t = time.monotonic() - self._zero
+        with self._lock:
+            chunk, robots = self._rows.taken(t), self._rows.table()
+            if chunk:
+                self.hub.rows(chunk)
+                if self._stream is not None:
+                    self._stream.rows(chunk, self._nanoseconds)
+        odd = self._odd()
+        for robot, name in zip(robots, self._rows.header.robots, strict=True):
+            robot["odd"] = name.name in odd
+        self.hub.send("fleet", {"t": t, "wall": time.time(), "fresh": FRESH, "version": self.version, "robots": robots})
+
+    def _nanoseconds(self, t: float) -> int:
+        """Return the time since 1970 at which the dashboard had run for `t` seconds."""
+        return round((self._wall + t) * 1e9)
+
+    def run(self) -> None:
+        """Tick until `close`."""
+        while not self._over.wait(TICK):
+            self.tick()
+
+    def close(self) -> None:
+        """End `run`, and tell the pages."""
+        self._over.set()
+        self.hub.end("the dashboard's command has ended: nothing on this page is up to date")
+        if self._stream is not None:
+            self._stream.close()
+
+
+class FleetServer(Server):
+    """Serves a dashboard. `token`: what a browser must send, empty for none; `tls`: None for plain HTTP. Raises
+    OSError."""
+
+    def __init__(
+        self, host: str, port: int, dashboard: Dashboard, stop: Stop | None, token: str, tls: ssl.SSLContext | None
+    ) -> None:
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        super().__init__(port, dashboard.hub, host=host, handler=FleetHandler)
+        self.token, self.stop, self._tls, self._dashboard = token, stop, tls, dashboard
+        self.cookies: list[str] = []
+        name = f"[{host}]" if ":" in host else host
+        self.names |= {f"{name}:{self.server_address[1]}"}
+        scheme = "https" if tls else "http"
+        self.url = f"{scheme}://{name}:{self.server_address[1]}/"
+        self.guard = None if stop is None else Guard(None if token else self.names, scheme)
+
+    def server_bind(self) -> None:
+        """Bind without looking up the host's name, which may take seconds."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
+
+    def get_request(self) -> tuple[Any, Any]:
+        """Accept a connection; the thread that serves it shakes hands."""
+        connection, address = super().get_request()
+        if self._tls is not None:
+            connection = self._tls.wrap_socket(connection, server_side=True, do_handshake_on_connect=False)
+        return connection, address
+
+    @property
+    def page(self) -> bytes:
+        """The page, of the fleet as it is now."""
+        header = self.hub.header
+        title = f"{header.app or 'fleet'}, dashboard"
+        before = HEAD.format(title=escape(title), stop=STOP if self.stop is not None else "")
+        axis = "time since the dashboard began (s)"
+        token = "" if self.guard is None else self.guard.token
+        facts = {"token": token, "axis": axis, "version": self._dashboard.version}
+        return page(title, header, {}, before, "", live=True, more=("fleet.js",), facts=facts).encode()
+
+
+class FleetHandler(Handler):
+    """Asks for the token where there is one, and takes the order to stop."""
+
+    server: FleetServer
+
+    def admitted(self) -> bool:
+        """Return whether the request may be answered: its browser has sent the token or, where there is none, it is
+        addressed to this computer (see Server)."""
+        if not self.server.token:
+            return super().admitted()
+        if any(hmac.compare_digest(self._cookie().encode(), known.encode()) for known in self.server.cookies):
+            return True
+        if self.command == "GET" and self.path == "/":
+            self._ask("The token stands in the file that the option --token names.")
+        else:
+            self.send_error(403, "The token is needed first")
+        return False
+
+    def do_POST(self) -> None:
+        """Take the token, or stop the fleet."""
+        if self.path == "/login" and self.server.token:
+            self._login()
+        elif not self.admitted() or (command := self.ordered()) is None:
+            return
+        elif command != {"do": "stop"} or self.server.stop is None:
+            self.send_error(400, "The only command is the emergency stop")
+        else:
+            answers = self.server.stop()
+            self.server.hub.send("stopped", {"robots": answers, "by": self.client_address[0]})
+            self.give("application/json", json.dumps({"robots": answers}).encode())
+
+    def _login(self) -> None:
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > LONGEST_BODY:
+            self.send_error(413)
+            return
+        sent = parse_qs(self.rfile.read(int(length)).decode("utf-8", "replace")).get("token", [""])[0]
+        if not hmac.compare_digest(sent.strip().encode(), self.server.token.encode()):
+            self._ask("That is not the token.")
+            return
+        cookie = secrets.token_urlsafe(32)
+        self.server.cookies = [*self.server.cookies, cookie][-MOST_BROWSERS:]
+        secure = "; Secure" if self.server.url.startswith("https") else ""
+        self.send_response(303)
+        self.send_header("Location", "/")
+        self.send_header("Set-Cookie", f"{COOKIE}={cookie}; HttpOnly; SameSite=Strict; Path=/{secure}")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def _ask(self, words: str) -> None:
+        body = LOGIN.format(words=escape(words)).encode()
+        self.send_response(401)
+        for name, value in (
+            ("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body))),
+            ("Cache-Control", "no-store"), ("Content-Security-Policy", LOGIN_POLICY),
+        ):  # fmt: skip
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _cookie(self) -> str:
+        """The browser's cookie; empty where there is none."""
+        try:
+            found = SimpleCookie(self.headers.get("Cookie", "")).get(COOKIE)
+        except CookieError:
+            return ""
+        return found.value if found is not None else ""

@@ -1,0 +1,319 @@
+"""Rows of a fleet at work, made of the reports that its agents give to the dashboard again and again.
+
+Reports overlap: log lines have numbers and rounds too, so what an earlier report has told is not told again. Times are
+seconds since the dashboard began. A report is untyped JSON of another computer, perhaps of another release: it is
+converted first, and what does not fit is refused with a reason.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from targets.sim.base.bodies import Vector
+from targets.sim.base.scenario import Shared
+from targets.sim.trace.schema import Header, Log, Metrics, Phase, Pose, Round
+from targets.sim.view.data.rows import Chunk, Rows
+
+FRESH = 1.0  # seconds: a robot whose last report is older is silent
+LINKS_EVERY = 2.0  # seconds from one row of a robot's links to the next
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]  # a double holds it, as JavaScript must
+Lines = tuple[tuple[Count, float, Count, str, str], ...]
+Outcomes = tuple[tuple[Count, Count, Literal["event", "skipped", "fault"], str, tuple[float, ...]], ...]
+
+
+class Place(msgspec.Struct, frozen=True):
+    """Pose of a robot: metres, local ENU; yaw in radians; the age of both in seconds."""
+
+    position: Vector
+    yaw: float | None = None
+    age: float = 0.0
+
+
+class Violated(msgspec.Struct, frozen=True):
+    """A property that is violated, as far as the robot can tell."""
+
+    of: str = ""
+    name: str = ""
+    line: str = ""
+    why: str = ""
+
+    @property
+    def words(self) -> str:
+        return f"{self.of} {self.name}".strip()
+
+
+class Monitored(msgspec.Struct, frozen=True):
+    counts: dict[str, int] = {}
+    violated: tuple[Violated, ...] = ()
+
+
+class Computer(msgspec.Struct, frozen=True):
+    """A robot's computer: error of its clock (ms), free disk (GB), temperature (degrees Celsius)."""
+
+    clock_ms: float | None = None
+    disk_gb: float | None = None
+    temperature: float | None = None
+
+
+class Report(msgspec.Struct, frozen=True):
+    """An agent's report (koordgen/runtime/agent/process.py); older agents lack fields that have a default here."""
+
+    phase: str
+    round: Count
+    app: str = ""
+    release: str = ""
+    boot: str = ""
+    delta: float = 0.0
+    geofence: tuple[Vector, Vector] | None = None
+    pose: Place | None = None
+    battery: float | None = None
+    goal: tuple[Vector, ...] = ()
+    lines: Lines = ()
+    outcomes: Outcomes = ()
+    decided: float = 0.0
+    shared: tuple[tuple[str, Literal["allread", "allwrite"], Count, Any], ...] = ()
+    monitors: Monitored = Monitored()
+    host: Computer = Computer()
+    rounds: Count = 0
+    current: Count = 0
+    late_ms: dict[str, float] = {}
+    rejected: dict[str, int] = {}
+    peers: dict[str, dict[str, Any]] = {}
+
+    @property
+    def loss(self) -> float | None:
+        """The share of datagrams that are lost on the worst link."""
+        losses = [peer.get("loss") for peer in self.peers.values()]
+        return max((loss for loss in losses if isinstance(loss, (int, float))), default=None)
+
+
+def read_report(plain: Any) -> Report | str:
+    """Return a report, or why it is none. A report holds nothing that JSON cannot: no lone surrogate, no NaN."""
+    try:
+        return msgspec.json.decode(msgspec.json.encode(plain), type=Report)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        return f"its report cannot be read: {error}"
+
+
+def completed(header: Header, report: Report) -> Header:
+    """Return the header with what a report knows and the header lacks; the same one where it lacks nothing."""
+    known = {variable.name for variable in header.shared}
+    more = tuple(Shared(name, kind, "") for name, kind, *_ in report.shared if name not in known)
+    changes: dict[str, Any] = {"shared": (*header.shared, *more)} if more else {}
+    if not header.app and report.app:
+        changes["app"] = report.app
+    if not header.delta and report.delta:
+        changes["delta"] = report.delta
+    if header.geofence is None and report.geofence is not None:
+        changes["geofence"] = report.geofence
+    return msgspec.structs.replace(header, **changes) if changes else header
+
+
+@dataclass
+class _Known:
+    """A robot as its reports have told so far."""
+
+    report: Report | None = None
+    at: float | None = None  # when the last report came
+    questions: int = 0
+    answers: int = 0
+    note: str = ""  # why there was no answer last time, or what is odd about it
+    silent: bool = True
+    line: int = 0  # number of the last log line
+    round: int = 0  # last round whose outcome is known
+    phase: str = ""
+    goal: tuple[Vector, ...] = ()
+    posed: float = -math.inf  # time of the last pose
+    linked: float = -math.inf  # ... of the last row of links
+    written: dict[str, int] = field(default_factory=dict)  # round of the last write, by variable
+    violated: frozenset[str] = frozenset()
+
+    def restart(self) -> None:
+        """Another process of this robot reports: it counts from the beginning."""
+        self.line = self.round = 0
+        self.written = {}
+
+
+class FleetRows:
+    """Merges reports into rows. Not for several threads at once."""
+
+    def __init__(self, header: Header) -> None:
+        self.header = header
+        self._rows = Rows(header)
+        self._more: Chunk = {}
+        self._robots = [_Known() for _ in header.robots]
+
+    def renew(self, header: Header) -> None:
+        """Continue with a more complete header; each robot's last report is sent again."""
+        before = self._robots
+        self.__init__(header)  # type: ignore[misc]
+        for pid, (known, old) in enumerate(zip(self._robots, before, strict=True)):
+            if old.report is not None and old.at is not None:
+                self.take(pid, old.report, old.note, old.at)
+            known.questions, known.answers, known.silent, known.note = old.questions, old.answers, old.silent, old.note
+
+    def take(self, pid: int, report: Report, note: str, t: float) -> None:
+        """Take a report that came at time `t`."""
+        known = self._robots[pid]
+        if known.report is not None and known.report.boot != report.boot:
+            self._mark(t, "restart", "its agent has begun anew", pid)
+            known.restart()
+        if known.silent and known.at is not None:
+            self._mark(t, "answers", "answers again", pid, f"was silent for {t - known.at:.1f} s")
+        known.report, known.at, known.note, known.silent = report, t, note, False
+        known.questions += 1
+        known.answers += 1
+        self._motion(pid, known, report, t)
+        self._said(pid, known, report, t)
+        self._decided(pid, known, report, t)
+        if t - known.linked >= LINKS_EVERY:
+            known.linked = t
+            self._rows.take(Metrics(report.late_ms, report.rejected, report.peers, pid=pid), t)
+        violated = frozenset(each.words for each in report.monitors.violated)
+        for each in report.monitors.violated:
+            if each.words not in known.violated:
+                detail = ": ".join(filter(None, (each.line, each.why)))
+                self._mark(t, "monitor", f"{each.words}: violated", pid, detail)
+        for words in sorted(known.violated - violated):
+            self._mark(t, "monitor", f"{words}: no longer violated", pid)
+        known.violated = violated
+
+    def miss(self, pid: int, note: str, t: float) -> None:
+        """Note that a robot has not answered at time `t`."""
+        known = self._robots[pid]
+        known.questions += 1
+        known.note = note
+        if not known.silent and t - (known.at or 0.0) > FRESH:
+            known.silent = True
+            self._mark(t, "silent", "does not answer", pid, note)
+
+    def taken(self, t: float) -> Chunk:
+        """Return the rows since the last time, by table; `t` is the present."""
+        chunk, more, self._more = self._rows.taken(), self._more, {}
+        chunk.pop("near", None)  # it counts robots that are silent
+        for table, rows in more.items():
+            chunk.setdefault(table, []).extend(rows)
+        if chunk.get("poses") and (near := self._closest(t)) is not None:
+            chunk["near"] = [near]
+        return chunk
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return the last that is known of each robot, by pid. `at`: when its report came; None: it never answered."""
+        return [self._entry(known) for known in self._robots]
+
+    def _entry(self, known: _Known) -> dict[str, Any]:
+        entry: dict[str, Any] = {
+            "at": known.at, "silent": known.silent, "note": known.note, "questions": known.questions,
+            "answers": known.answers,
+        }  # fmt: skip
+        report = known.report
+        if report is None:
+            return entry
+        return entry | {
+            "phase": report.phase, "round": report.round, "app": report.app, "release": report.release,
+            "battery": report.battery, "pose": report.pose, "loss": report.loss, "host": report.host,
+            "current": report.current / report.rounds if report.rounds else None, "late": report.late_ms.get("p99"),
+            "violated": [each.words for each in report.monitors.violated], "properties": report.monitors.counts,
+        }  # fmt: skip
+
+    def _motion(self, pid: int, known: _Known, report: Report, t: float) -> None:
+        if report.phase != known.phase:
+            known.phase = report.phase
+            self._rows.take(Phase(report.phase, pid=pid), t)
+        pose = report.pose
+        if pose is not None and t - pose.age > known.posed + 1e-3 and all(map(math.isfinite, pose.position)):
+            known.posed = t - pose.age
+            self._rows.take(Pose(pid, pose.position, pose.yaw or 0.0), known.posed)
+        if report.goal != known.goal:
+            known.goal = report.goal
+            self._add("paths", [pid, round(t, 3), report.goal])
+
+    def _said(self, pid: int, known: _Known, report: Report, t: float) -> None:
+        for number, age, _, level, text in report.lines:
+            if number <= known.line:
+                continue
+            if known.line and number > known.line + 1:
+                lost = f"{number - known.line - 1} lines before this one came too fast to be shown here"
+                self._rows.take(Log("warning", lost, pid=pid), t - age)
+            known.line = number
+            self._rows.take(Log(level, text, pid=pid), t - age)
+
+    def _decided(self, pid: int, known: _Known, report: Report, t: float) -> None:
+        """Rounds, and the shared variables that their events wrote."""
+        runs = [(first, outcome, detail, late) for first, _, outcome, detail, late in report.outcomes]
+        last = max((first + len(late) - 1 for first, _, _, late in runs), default=0)
+        delta = report.delta or self.header.delta
+
+        def when(number: int) -> float:
+            return t - report.decided - (last - number) * delta
+
+        for first, outcome, detail, late in runs:
+            for number, late_ms in enumerate(late, first):
+                if number > known.round:
+                    known.round = number
+                    told = Round(
+                        number, detail if outcome == "event" else None, detail if outcome == "skipped" else None,
+                        detail if outcome == "fault" else None, late_ms / 1e3, pid=pid,
+                    )  # fmt: skip
+                    self._rows.take(told, when(number))
+        for name, _, number, value in report.shared:
+            if number > known.written.get(name, -1):
+                known.written[name] = number
+                self._add("shared", [name, pid, round(when(number) if number else t, 3), number, value])
+
+    def _closest(self, t: float) -> list[Any] | None:
+        """The closest pair of those robots whose places are known now."""
+        places = [
+            (pid, known.report.pose.position)
+            for pid, known in enumerate(self._robots)
+            if known.report is not None and known.report.pose is not None and t - known.posed <= FRESH
+        ]
+        pairs = ((math.dist(a, b), i, j) for (i, a), (j, b) in itertools.combinations(places, 2))
+        apart, i, j = min(pairs, default=(math.inf, 0, 0))
+        return [round(t, 3), round(apart, 3), i, j] if math.isfinite(apart) else None
+
+    def _mark(self, t: float, kind: str, what: str, pid: int, detail: str = "") -> None:
+        self._add("marks", [round(t, 3), kind, what, [self.header.robots[pid].name], detail])
+
+    def _add(self, table: str, row: list[Any]) -> None:
+        self._more.setdefault(table, []).append(row)
+
+
+# Rows of a series that a page gets when it is opened: a robot's of a table, a writer's of a shared variable.
+MOST = {"poses": 1200, "rounds": 2000, "late": 300, "links": 150, "logs": 200, "phases": 50, "paths": 100, "shared": 30}
+MOST_OF_ALL = {"marks": 300, "near": 1500, "markers": 300}
+ALL_POSES, ALL_ROUNDS = 40_000, 40_000
+
+
+class Latest:
+    """The latest rows of each series: a dashboard may be open for days."""
+
+    def __init__(self, header: Header) -> None:
+        robots = max(1, len(header.robots))
+        self._most = MOST | {"poses": min(MOST["poses"], ALL_POSES // robots)}
+        self._most["rounds"] = min(MOST["rounds"], ALL_ROUNDS // robots)
+        self._kept: dict[str, dict[Any, deque[list[Any]]]] = {}
+
+    def extend(self, chunk: Chunk) -> None:
+        """Take in rows, each table's in the order of their times."""
+        for table, rows in chunk.items():
+            series = self._kept.setdefault(table, {})
+            for row in rows:
+                key = None if table in MOST_OF_ALL else tuple(row[:2]) if table == "shared" else row[0]
+                if key not in series:
+                    series[key] = deque(maxlen=MOST_OF_ALL.get(table) or self._most[table])
+                series[key].append(row)
+
+    def whole(self) -> Chunk:
+        """All rows that are kept, by table."""
+        return {table: list(self._all(series)) for table, series in self._kept.items()}
+
+    def _all(self, series: dict[Any, deque[list[Any]]]) -> Iterator[list[Any]]:
+        return itertools.chain.from_iterable(series.values())
