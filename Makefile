@@ -32,7 +32,7 @@ test: lint
 # Of the same tests those that depend most on the Python version and its packages.
 test-sim: $(STAMP)
 	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
-	  tests/sim tests/emit tests/bundle
+	  tests/sim tests/build/emit tests/build/bundle
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
@@ -46,13 +46,13 @@ slow: $(STAMP)
 
 # Random programs against the prover: 20,000 take two hours or more. Run again, it goes on where it ended.
 prover-campaign: $(STAMP)
-	$(PY) -m tests.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
+	$(PY) -m tests.verify.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
 
 # Flights and drives through doors, windows and pillars while everything else goes wrong: 500 take half an hour. Run
 # again, it goes on where it ended.
 clearance-campaign: $(STAMP)
-	$(PY) -m tests.sim.clearance_campaign --from 0 --count 500 --folder build/clearance-campaign
-	$(PY) -m tests.sim.clearance_campaign --scenes targets --from 0 --count 100 --folder build/clearance-targets
+	$(PY) -m tests.sim.run.clearance_campaign --from 0 --count 500 --folder build/clearance-campaign
+	$(PY) -m tests.sim.run.clearance_campaign --scenes targets --from 0 --count 100 --folder build/clearance-targets
 
 # Deployments to three hosts with real SSH servers while the deploying process is killed, a link cut, a disk filled or a
 # host rebooted: 200 take an hour. Run again, it goes on where it ended. It needs root.

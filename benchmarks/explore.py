@@ -1,7 +1,7 @@
 """Exploration beside Spin: `python benchmarks/explore.py [--quick] [--json FILE]`.
 
 Leader election, explored whole for 2 to 7 robots, beside two equivalent Promela models (`fixtures/spin.py` says how
-they differ; tests/explore/test_spin.py compares the states at rounds' ends): `plain` as one would write it down,
+they differ; tests/verify/explore/test_spin.py compares the states at rounds' ends): `plain` as one would write it down,
 `tight` the best for Spin that we know. Seconds are of CPU, the least of a few runs: `search` is the search alone (of
 Spin, the compiled verifier's process; ours, the Search on a machine that is made), `whole` with all that comes before
 it (Spin's generator and gcc; ours, reading and compiling the program). Spin's verifiers: gcc -O2 -DSAFETY, partial

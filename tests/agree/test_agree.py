@@ -18,7 +18,7 @@ from koordgen.lang.semantics.step import initial, round_
 from tests.agree.both import Difference, Generated, Meant, Outcome, agree
 from tests.agree.faults import COMMON, NAN_COMPARED, RARE, Fault
 from tests.agree.programs import N_SYS, nodes, random_program
-from tests.semantics.programs import compiled
+from tests.lang.semantics.programs import compiled
 
 # These stand in properties and assumptions only, of which there is no generated code.
 FORMULAS = {"LocalOf", "PortOf"}

@@ -16,7 +16,7 @@ from tests.agree.both import Generated
 from tests.agree.formulas import with_formulas
 from tests.agree.programs import N_SYS, random_state
 from tests.agree.test_properties import properties, values
-from tests.emit.generated import checked
+from tests.build.emit.generated import checked
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from koordgen.runtime.program import metered
 from koordgen.runtime.values import containers, turns
 from tests.agree.both import Generated, Meant, agree
 from tests.agree.programs import N_SYS
-from tests.semantics.programs import compiled
+from tests.lang.semantics.programs import compiled
 
 TURNS, ELEMENTS, A_TURN, BITS, SMALL, CELLS, PAIRS = 12, 5, 2, 12, 3, 2, 2
 LIMITS = [

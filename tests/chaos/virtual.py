@@ -22,10 +22,10 @@ from koordgen.runtime.program.program import Program
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.clock import SimulatedClock
 from koordgen.runtime.values.points import Point
+from tests.build.emit.generated import load
 from tests.chaos.bundle import PROGRAMS
 from tests.chaos.checks import NOT_CURRENT, Lines, commits, wrong_reads, wrong_sums
 from tests.chaos.runs import Say
-from tests.emit.generated import load
 
 T = TypeVar("T")
 N = 5

@@ -16,7 +16,7 @@ from koordgen.cli import main
 from targets.sim.autopilots.autopilot import SimulatedAutopilot
 from targets.sim.base.bodies import DeviceContext
 from tests.programs import build
-from tests.runtime.transports import free_ports
+from tests.runtime.net.transports import free_ports
 
 ORIGIN = (47.4, 8.5, 400.0)  # of tests.programs
 

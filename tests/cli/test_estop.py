@@ -21,7 +21,7 @@ import pytest
 from benchmarks.fixtures.fleet import NAMES, settings
 from koordgen.cli import main
 from koordgen.operate import estop
-from tests.runtime.test_process import bundles, change, rounds, run, start, started
+from tests.runtime.agent.test_process import bundles, change, rounds, run, start, started
 
 __all__ = ["bundles", "started"]  # fixtures
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sim.canned import header, moving, write
+from tests.sim.view.canned import header, moving, write
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

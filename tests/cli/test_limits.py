@@ -12,7 +12,7 @@ import pytest
 
 from koordgen.cli.base.alarm import alarm
 from koordgen.lang.semantics.deadline import OutOfTime
-from tests.replay.runs import Run
+from tests.verify.replay.runs import Run
 
 HANG = 120  # seconds: no criterion but for a hang, on a machine however busy
 TURNS = "it is not finished by the end of the round"

@@ -37,7 +37,7 @@ from koordgen.build.bundle.write import SUMS, sums
 from koordgen.cli.base import building
 from koordgen.operate.deploy import Phases
 from tests.operate.fake_host import MAIN
-from tests.runtime.transports import free_ports
+from tests.runtime.net.transports import free_ports
 
 ROBOTS = {"alice": "a", "bert": "b", "cleo": "c", "dora": "c"}
 PHASES = ("connect", "lock", "inspect", "send", "verify", "switch", "prepare", "confirm")

@@ -17,7 +17,7 @@ from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Effects
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
-from tests.runtime.transports import free_ports
+from tests.runtime.net.transports import free_ports
 
 DELTA = 0.1
 FENCE = Box(Point(-6, -5, -0.5), Point(6, 5, 4))

@@ -29,8 +29,8 @@ from targets.sim.view.foxglove.stream import FoxgloveServer
 from targets.sim.view.web.dashboard import TICK, Dashboard, FleetServer, first_header
 from targets.sim.view.web.fleet_rows import FRESH
 from tests.operate.stand_ins import StandIns
-from tests.sim.browser import CHROMIUM, Browser
-from tests.sim.test_stream import Client
+from tests.sim.view.browser import CHROMIUM, Browser
+from tests.sim.view.test_stream import Client
 
 ROOT = Path(__file__).parents[2]
 STOPPED = "[...document.querySelectorAll('#stopped li')].map((row) => row.innerText)"

@@ -21,7 +21,7 @@ import pytest
 
 from koordgen.operate.host_tool_archive import archive
 from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease, digest, refused, send, wait
-from tests.runtime.transports import free_ports
+from tests.runtime.net.transports import free_ports
 
 
 @pytest.fixture

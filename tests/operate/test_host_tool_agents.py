@@ -15,7 +15,7 @@ import pytest
 from koordgen import cli
 from koordgen.lang.resources import examples
 from tests.operate.fake_host import FakeHost, FakeRelease, digest, refused, send, wait
-from tests.runtime.transports import free_ports
+from tests.runtime.net.transports import free_ports
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from koordgen.operate.basestation import all_targets
 from koordgen.operate.run_folder import flown, write_trace
 from koordgen.runtime.net.network import Conditions
 from koordgen.verify.replay.trace import BadTrace
-from tests.replay.kept import Kept
-from tests.replay.runs import Run
+from tests.verify.replay.kept import Kept
+from tests.verify.replay.runs import Run
 
 PROGRAM = """\
 using Motion:

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES
 from koordgen.cli import main
-from tests.runtime.test_process import bundles, start, started
+from tests.runtime.agent.test_process import bundles, start, started
 
 __all__ = ["bundles", "started"]  # fixtures
 

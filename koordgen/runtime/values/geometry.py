@@ -9,7 +9,7 @@ nothing but rounding. Here the place inside comes from the cross product, which 
 foot of the perpendicular on one segment and back on the other: an error along a common direction costs next to nothing.
 
 The error is at most 1e-15 of the largest difference between coordinates of the four points, plus 1e-75 m; measured
-against exact arithmetic in tests/runtime/test_geometry.py.
+against exact arithmetic in tests/runtime/values/test_geometry.py.
 """
 
 from __future__ import annotations

@@ -1,0 +1,115 @@
+"""`koordgen explore` as it is called."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from koordgen.cli import main
+from tests.verify.explore.test_search import COUNT, LOST, MOTION
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+ELECTION = str(EXAMPLES / "election/election.koord")
+
+
+@pytest.fixture
+def app(tmp_path: Path) -> str:
+    path = tmp_path / "app.koord"
+    path.write_text(LOST)
+    return str(path)
+
+
+def test_all_explored_and_all_kept_is_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explore", ELECTION]) == 0
+    told = capsys.readouterr()
+    assert "3 robots: HOLDS" in told.out and "explored completely" in told.out and "Agreement" in told.out
+    assert told.err == ""  # no progress where there is no terminal
+
+
+def test_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explore", ELECTION, "--robots", "2", "--format", "json", "--param", "salt=3"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"] == "HOLDS" and told["complete"] and told["states"] > 3 and told["violation"] is None
+
+
+def test_a_bound_is_4(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explore", ELECTION, "--rounds", "1"]) == 4
+    assert "explored to depth 1" in capsys.readouterr().out
+
+
+def test_a_violation_is_3_with_its_files(app: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trace, itf = tmp_path / "t.jsonl", tmp_path / "t.itf.json"
+    assert main(["explore", app, "--robots", "2", "--trace", str(trace), "--itf", str(itf), "--format", "json"]) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert (told["violation"]["what"], told["violation"]["rounds"]) == ("Counted", 1)
+    assert json.loads(trace.read_text().splitlines()[-1])["name"] == "Counted" and json.loads(itf.read_text())["states"]
+
+
+def test_deadlock_may_be_allowed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(COUNT)
+    assert main(["explore", str(path)]) == 3
+    assert "deadlock after 3 rounds" in capsys.readouterr().out
+    assert main(["explore", str(path), "--no-deadlock"]) == 0
+    assert "never enabled: Never (line 6)" in capsys.readouterr().out
+
+
+def test_a_port_without_values_is_2_and_a_wrong_file_is_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, env = tmp_path / "app.koord", tmp_path / "env.yaml"
+    path.write_text(MOTION)
+    assert main(["explore", str(path)]) == 2
+    assert "Motion.position needs values" in capsys.readouterr().err
+    env.write_text("Motion.position: [[0, 0, 0]]\nMotion.planner: curved\n")
+    assert main(["explore", str(path), "--env", str(env)]) == 1
+    assert "env.yaml:2" in capsys.readouterr().err
+    env.write_text("Motion.position: [[0, 0, 0]]\nMotion.planner: straight\n")
+    assert main(["explore", str(path), "--env", str(env), "--no-deadlock"]) == 0
+    assert main(["explore", str(path), "--param", "none=3"]) == 2
+
+
+# Robots tell once; the last one's number stays. Agents tell by ascending pid.
+ORDER = """
+allwrite: int last
+allread: bool done[N_SYS]
+Tell:
+  pre: not done[pid]
+  eff:
+    last = (pid + 1) * (1 + last)
+    done[pid] = True
+Finish:
+  pre: done[pid]
+  eff: stop
+invariant No: {}
+"""
+
+
+def explored(path: Path, robots: int, wrong: str, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    path.write_text(ORDER.format(wrong))
+    assert main(["explore", str(path), "--robots", str(robots), "--format", "json", *more]) == 3
+    found = json.loads(capsys.readouterr().out)["violation"]
+    assert isinstance(found, dict)
+    return found
+
+
+def test_an_order_that_agents_do_not_have_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "app.koord"
+    found = explored(path, 2, "last != 1 or done.count(True) < 2", capsys)
+    assert found["order_of_agents"] is False and found["rounds"] == 1
+    assert main(["explore", str(path), "--robots", "2"]) == 3
+    assert "the agents' order cannot do this run" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("more", [(), ("--no-independence",), ("--no-symmetry", "--no-forgetting"), ("--seconds=100",)])
+def test_of_runs_of_equally_many_rounds_one_that_agents_can_do_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...]
+) -> None:
+    # Robots 1 and 0 in this order are found first, then 1 and 2.
+    wrong = "last == 2 or done.count(True) < 2 or not (exists i in ID: done[i] and i == 1)"
+    found = explored(tmp_path / "app.koord", 3, wrong, capsys, *more)
+    assert found["order_of_agents"] is True and found["rounds"] == 1
+    assert [step["robot"] for step in found["run"] if step["event"] == "Tell"] == [1, 2]
+    assert main(["explore", str(tmp_path / "app.koord"), *more]) == 3
+    assert "the agents' order can do this run" in capsys.readouterr().out
