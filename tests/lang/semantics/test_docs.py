@@ -67,9 +67,7 @@ def test_every_verification_condition_names_functions_of_the_prover() -> None:
 
 
 def test_every_rule_about_turns_stands_in_the_code() -> None:
-    turns = next(path for path in PROVER if path.name == "stmt.py" and path.parent.name == "encode").read_text(
-        encoding="utf-8"
-    )
+    turns = next(p for p in PROVER if (p.parent.name, p.name) == ("encode", "stmt.py")).read_text(encoding="utf-8")
     rows = re.findall(r"^\| T\d ([\w ]+) \|", CONDITIONS, re.MULTILINE)
     assert len(rows) == 6
     for name in rows:
