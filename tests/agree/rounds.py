@@ -21,8 +21,8 @@ from koordgen.lang.semantics.exec import Writes, declared
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.program.program import Frame
-from koordgen.runtime.program.skips import LOST_CONTENTION, name_of
-from koordgen.runtime.replication.commits import winner
+from koordgen.runtime.program.runner import LOST_CONTENTION, name_of
+from koordgen.runtime.replication.outcome import winner
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed

@@ -15,7 +15,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.lang.diagnostics import CATALOGUE
-from koordgen.runtime.program import skips
+from koordgen.runtime.program import runner
 from tests.disk import small_disk
 
 ROOT = Path(__file__).parents[2]
@@ -95,9 +95,9 @@ def test_explain_a_word_of_a_report(words: str, capsys: pytest.CaptureFixture[st
 
 def test_every_reason_to_skip_has_one_name_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "skip"]) == 0
-    assert tuple(re.findall(r"^- `(.*?)`:", capsys.readouterr().out, re.MULTILINE)) == skips.NAMES
+    assert tuple(re.findall(r"^- `(.*?)`:", capsys.readouterr().out, re.MULTILINE)) == runner.NAMES
     page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("### Skipped rounds")[2].partition("\n### ")[0]
-    assert tuple(re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)) == skips.NAMES
+    assert tuple(re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)) == runner.NAMES
 
 
 @pytest.mark.parametrize("code", ["K030", "k030"])

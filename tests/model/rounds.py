@@ -9,8 +9,8 @@ from typing import Any
 from koordgen.runtime.net.ledger import Ledger
 from koordgen.runtime.net.wire import Closing, View
 from koordgen.runtime.replication.comeback import Comeback
-from koordgen.runtime.replication.commits import counting
 from koordgen.runtime.replication.log import Entry
+from koordgen.runtime.replication.outcome import counting
 from koordgen.runtime.replication.views import Vote
 from koordgen.runtime.replication.words import Words
 from tests.model.state import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -11,6 +11,8 @@ from koordgen.lang.analyze.linear import Formula
 from koordgen.lang.analyze.path import Condition, Path, known
 from koordgen.lang.analyze.runs import Loop
 from koordgen.lang.diagnostics import Diagnostic, Edit, Label, Severity
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
 from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.lang.ir.decl import (
     ExternFunction,
@@ -29,6 +31,7 @@ from koordgen.lang.ir.types import GENERIC, NAMED, POISON, Type
 from koordgen.lang.node import Node
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax import stmt as tree
 
 # A Function's block is empty until its body has been checked: its signature is known to all bodies before.
 Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction
@@ -206,3 +209,30 @@ class Context:
     def visible(self) -> list[str]:
         """All names that can be read here."""
         return [*(n for scope in self.scopes for n in scope), *self.entities, *PREDEFINED]
+
+
+# Blocks of statements: the way into each, and what is known after an assignment.
+
+Out = list[stmt.Stmt]  # where a checked statement goes, or the several that it becomes
+# By the class of the node; stmt.py fills it.
+STATEMENTS: dict[type, Callable[[Any, Context, Out], None]] = {}
+
+
+def check_block(block: tree.Block, c: Context) -> stmt.Block:
+    """The statements of a block; its declarations end with it. `c.path` is None if no run gets to the end."""
+    c.scopes.append({})
+    checked: Out = []
+    told = False
+    for statement in block:
+        if c.path is None and not told and type(statement) is not tree.Pass:
+            c.warn("K043", "this statement can never run: every way to it has stopped or left", statement.span)
+            told = True
+        STATEMENTS[type(statement)](statement, c, checked)
+    c.scopes.pop()
+    return tuple(checked)
+
+
+def learn(place: stmt.Place, value: ir.Expr, c: Context) -> None:
+    """After `place = value`: what was known of the place is gone, and its new value may be known."""
+    if c.path is not None:
+        c.path = c.path.assigning(place, value)

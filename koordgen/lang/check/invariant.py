@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from koordgen.lang.check.base import check_expr, condition
-from koordgen.lang.check.block import STATEMENTS, Out, learn
-from koordgen.lang.check.context import Context, Entry
+from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out, learn
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.types import BOOL, POISON, PerRobot

@@ -16,8 +16,7 @@ from koordgen.runtime.agent.keeping import Keeping
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.agent.store import Keeper
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.monitor.allowance import Cpu
-from koordgen.runtime.monitor.monitor import Monitors
+from koordgen.runtime.monitor.monitor import Cpu, Monitors
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Heard, Link
@@ -28,8 +27,7 @@ from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
 from koordgen.runtime.program.program import Fault, Life, Program
 from koordgen.runtime.program.property import Properties
-from koordgen.runtime.program.runner import Limit, Runner, unlimited
-from koordgen.runtime.program.skips import NO_POSITION, STOPPED
+from koordgen.runtime.program.runner import NO_POSITION, STOPPED, Limit, Runner, unlimited
 from koordgen.runtime.replication.memory import Memory
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.views import Vote

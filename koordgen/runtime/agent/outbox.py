@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 
 from koordgen.runtime.program.program import Effects, Life
-from koordgen.runtime.program.skips import LOST_CONTENTION, NOT_COUNTED
+from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.replication.memory import Memory
 from koordgen.runtime.trace.writer import Record
 

@@ -18,8 +18,18 @@ from koordgen.runtime.agent.outbox import AHEAD, Outbox, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Counters
 from koordgen.runtime.program.program import Effects, Frame, Life
-from koordgen.runtime.program.runner import LATE, Outcome, Runner
-from koordgen.runtime.program.skips import FAULT, LEFT, NO_EVENT, NOT_CONFIRMED, NOT_CURRENT, STOPPED, WOKE_LATE
+from koordgen.runtime.program.runner import (
+    FAULT,
+    LATE,
+    LEFT,
+    NO_EVENT,
+    NOT_CONFIRMED,
+    NOT_CURRENT,
+    STOPPED,
+    WOKE_LATE,
+    Outcome,
+    Runner,
+)
 from koordgen.runtime.replication.memory import Memory
 from koordgen.runtime.replication.patience import Patience, many
 from koordgen.runtime.replication.replica import SLOTS, Replica, Talk

@@ -10,16 +10,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
+
 from koordgen.runtime.config.settings import Action, Settings
-from koordgen.runtime.monitor.allowance import Allowance, Cpu
-from koordgen.runtime.monitor.told import told
 from koordgen.runtime.program.extern import Contract
 from koordgen.runtime.program.program import Effects
-from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, Trail, judged
-from koordgen.runtime.program.runner import Limit, Overrun
-from koordgen.runtime.program.skips import LEFT
+from koordgen.runtime.program.property import (
+    UNKNOWN,
+    Assumption,
+    Bound,
+    Known,
+    Outcome,
+    Properties,
+    Read,
+    Trail,
+    judged,
+)
+from koordgen.runtime.program.runner import LEFT, Limit, Overrun
 from koordgen.runtime.trace.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
 from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.safety import GO, Verdict
 
 SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take
@@ -311,3 +321,97 @@ class Monitors:
 
 def _urgency(watched: Watched) -> tuple[bool, int]:
     return watched.action == "log", watched.true
+
+
+# What made a property false, in words for people.
+
+MOST_READ = 8  # values that are told
+LONGEST = 120  # characters of one of them
+
+
+def told(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
+    """The robots that a formula was about when it came out false, and what was bound and read then. `pid` is the robot
+    of an assumption."""
+    bound = [step for step in trail if isinstance(step, Bound)]
+    robots = [names[b.value] for b in bound if b.robot and _is_pid(b.value, names)]
+    if pid >= 0:
+        robots = [names[pid]]
+    read = list(dict.fromkeys(_read(step) for step in trail if isinstance(step, Read)))
+    if len(read) > MOST_READ:
+        read = [*read[:MOST_READ], f"and {len(read) - MOST_READ} more"]
+    parts = [", ".join(_bound(b, names) for b in bound), "; ".join(read), why]
+    return tuple(dict.fromkeys(robots)), ": ".join(part for part in parts if part)
+
+
+def _is_pid(value: Any, names: tuple[str, ...]) -> bool:
+    return isinstance(value, int) and 0 <= value < len(names)
+
+
+def _bound(bound: Bound, names: tuple[str, ...]) -> str:
+    name = f" ({names[bound.value]})" if bound.robot and _is_pid(bound.value, names) else ""
+    return f"{bound.name} = {shown(bound.value)}{name}"
+
+
+def _read(read: Read) -> str:
+    place = "" if read.robot is None else f"[{read.robot}]"
+    return f"{read.name}{place} = {shown(read.value)}"
+
+
+def shown(value: Any) -> str:
+    """A value as Koord has it, to six digits."""
+    text = _shown(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
+
+
+def _shown(value: Any) -> str:
+    match value:
+        case Point(x, y, z):
+            return f"({x:.6g}, {y:.6g}, {z:.6g})"
+        case bool():
+            return str(value)
+        case float():
+            return f"{value:.6g}"
+        case str():
+            return f'"{value}"'
+        case tuple() | list():
+            return f"[{', '.join(map(_shown, value))}]"
+        case msgspec.Struct():
+            fields = (f"{name}={_shown(getattr(value, name))}" for name in value.__struct_fields__)
+            return f"{type(value).__name__}({', '.join(fields)})"
+        case _:
+            return str(value)
+
+
+# How much of the processor's time something may take that must not be in the way: a share of what all else takes.
+
+MOST = 0.001  # seconds that can be saved up
+Cpu = Callable[[], float]  # seconds of the processor's time that this thread has had
+
+
+class Allowance:
+    """`begin` and `end` stand around what is paid for. Without a `cpu` there is no bound, as in a simulation, where
+    what a robot does must not depend on the computer."""
+
+    def __init__(self, cpu: Cpu | None, share: float) -> None:
+        self._cpu, self._share = cpu, share
+        self._left = 0.0
+        self._began = self._ended = 0.0 if cpu is None else cpu()
+
+    def begin(self) -> bool:
+        """Whether something is left. Who does nothing then need not say `end`."""
+        if self._cpu is None:
+            return True
+        self._began = self._cpu()
+        self._left = min(MOST, self._left + self._share * (self._began - self._ended))
+        self._ended = self._began
+        return self._left > 0.0
+
+    @property
+    def spent(self) -> bool:
+        """Whether nothing is left."""
+        return self._cpu is not None and self._cpu() - self._began >= self._left
+
+    def end(self) -> None:
+        if self._cpu is not None:
+            self._ended = self._cpu()
+            self._left -= self._ended - self._began

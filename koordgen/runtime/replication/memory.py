@@ -14,10 +14,9 @@ from koordgen.runtime.net.gate import Usual
 from koordgen.runtime.net.layout import PATCH_FROM, Layout
 from koordgen.runtime.net.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.net.wire import Closing, State, View, encoder
-from koordgen.runtime.replication.commits import counting
-from koordgen.runtime.replication.course import Course
 from koordgen.runtime.replication.log import GAPS, Entry, Log, detached
-from koordgen.runtime.replication.outcome import Past, all_alike, all_of
+from koordgen.runtime.replication.outcome import Past, all_alike, all_of, counting
+from koordgen.runtime.replication.views import Course
 from koordgen.runtime.replication.words import Words
 
 _encode = encoder.encode

@@ -28,7 +28,7 @@ from koordgen.runtime.net.wire import (
     View,
     Want,
 )
-from koordgen.runtime.program.skips import NOT_CURRENT
+from koordgen.runtime.program.runner import NOT_CURRENT
 from koordgen.runtime.replication.comeback import Comeback, Store
 from koordgen.runtime.replication.memory import AHEAD, Memory
 from koordgen.runtime.replication.news import News

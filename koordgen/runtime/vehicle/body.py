@@ -10,7 +10,7 @@ import msgspec
 
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.program.skips import NO_SENSOR_VALUE
+from koordgen.runtime.program.runner import NO_SENSOR_VALUE
 from koordgen.runtime.values.points import Point, transmissible
 from koordgen.runtime.vehicle.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.vehicle.safety import clamped

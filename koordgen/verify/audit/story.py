@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from koordgen.runtime.program.skips import LEFT
+from koordgen.runtime.program.runner import LEFT
 from koordgen.verify.audit.reading import LOST, Log
 from koordgen.verify.replay.trace import BadTrace, Line
 

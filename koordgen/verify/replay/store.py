@@ -7,7 +7,7 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.lang.semantics.step import initial
-from koordgen.runtime.program.skips import NO_EVENT
+from koordgen.runtime.program.runner import NO_EVENT
 from koordgen.verify.replay.values import plain
 
 Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid

@@ -22,7 +22,7 @@ from targets.car.planning.reasons import unreachable
 from targets.car.planning.shapes import named
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
-from targets.planning.unplanned import ANOTHERS
+from targets.planning.standstill import ANOTHERS
 from targets.planning.world import Path, Scene, World
 
 MakePlanning = Callable[[str, World, float, str], Planning]

@@ -42,8 +42,7 @@ from targets.car.platform.diagnosis import (
 )
 from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
-from targets.planning.standstill import Standstill
-from targets.planning.unplanned import Unplanned
+from targets.planning.standstill import Standstill, Unplanned
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots

@@ -27,7 +27,7 @@ from targets.mavlink.parameters import Wanted
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
-from targets.planning.unplanned import Unplanned
+from targets.planning.standstill import Unplanned
 from targets.quad.autopilot.check import listen
 from targets.quad.autopilot.diagnosis import findings
 from targets.quad.autopilot.firmware import Firmware

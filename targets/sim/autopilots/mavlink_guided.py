@@ -10,8 +10,155 @@ from __future__ import annotations
 import cmath
 import enum
 import math
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-from targets.sim.autopilots.mavlink_position import horizontal, vertical
+# How ArduPilot turns a target that jumps into a path that a vehicle can fly: within an acceleration and a jerk.
+#
+# The formulas are those of Copter 4.2 to 4.7, libraries/AP_Math/control.cpp (sqrt_controller, shape_vel_accel,
+# shape_pos_vel_accel; L. Hall, 2020). One form serves both axes: a horizontal vector is a complex number, east + i
+# north, a height is a float. Metres and seconds.
+#
+# This is where a real vehicle's lag comes from. Behind a position that moves at v the path stays 2 v acceleration /
+# jerk, 1 s for the default 2.5 m/s^2 and 5 m/s^3; with a velocity to go with it, the error e obeys e'' + 2 e' + 2 e =
+# the target's acceleration.
+
+Number = TypeVar("Number", float, complex)
+
+
+def limited(value: Number, most: float) -> Number:
+    """The value, shortened to a length of `most`."""
+    length = abs(value)
+    return value if length <= most else value * (most / length)
+
+
+def approach(error: Number, gain: float, limit: float, dt: float) -> Number:
+    """The rate that closes an error: proportional when near; when far, such that a deceleration of `limit` ends it.
+    Never more than the error in one step (sqrt_controller)."""
+    far = abs(error)
+    if far <= 0.0:
+        return error
+    knee = limit / gain**2
+    rate = gain * far if far <= knee else math.sqrt(2 * limit * (far - knee / 2))
+    return error * (min(rate, far / dt) / far)
+
+
+def reach(speed: float, gain: float, limit: float) -> float:
+    """The error for which `approach` asks for this speed (inv_sqrt_controller)."""
+    knee = limit / gain
+    return speed / gain if speed <= knee else knee / gain / 2 + speed**2 / (2 * limit)
+
+
+@dataclass(slots=True)
+class Path(Generic[Number]):
+    """Where the vehicle is wanted now: a point that moves within `acceleration_limit` (m/s^2) and `jerk` (m/s^3)."""
+
+    position: Number
+    velocity: Number
+    acceleration: Number
+    acceleration_limit: float
+    jerk: float
+
+    def begin(self, position: Number, velocity: Number, acceleration: Number) -> None:
+        """Jump to a state."""
+        self.position, self.velocity, self.acceleration = position, velocity, acceleration
+
+    def advance(self, dt: float) -> None:
+        """Move on."""
+        self.position += self.velocity * dt + self.acceleration * (0.5 * dt * dt)
+        self.velocity += self.acceleration * dt
+
+    def seek(self, position: Number, velocity: Number, acceleration: Number, speed: float, dt: float) -> None:
+        """Accelerate towards a position that moves with a velocity and an acceleration, at most `speed` faster."""
+        gain = 0.5 * self.jerk / self.acceleration_limit
+        closing = limited(approach(position - self.position, gain, 0.5 * self.acceleration_limit, dt), speed)
+        self.match(closing + velocity, acceleration, dt)
+
+    def match(self, velocity: Number, acceleration: Number, dt: float) -> None:
+        """Accelerate towards a velocity that changes by an acceleration."""
+        gain = self.jerk / self.acceleration_limit
+        wanted = limited(approach(velocity - self.velocity, gain, self.jerk, dt), self.acceleration_limit)
+        self.acceleration += limited(wanted + acceleration - self.acceleration, self.jerk * dt)
+
+
+# Keeps a vehicle on its path: ArduPilot's position P and velocity PID, which ask for an acceleration.
+#
+# The structure and the gains are the defaults of Copter 4.7, libraries/AC_AttitudeControl/AC_PosControl.cpp
+# (PSC_NE_POS_P, PSC_NE_VEL_*, PSC_D_POS_P, PSC_D_VEL_P, PSC_JERK_*) and AC_WPNav.cpp (WP_ACC, WP_ACC_Z). What follows
+# them in the real one, leaning and thrust, is the body's: it takes a tenth of a second. Vectors as in mavlink_shaping.
+
+ACCELERATION, JERK = 2.5, 5.0  # m/s^2, m/s^3
+ACCELERATION_UP, JERK_UP = 1.0, 5.0
+MOST = 9.81 * math.tan(math.radians(30))  # m/s^2, horizontally: ANGLE_MAX
+ERROR_FILTER = 2 * math.pi * 5.0  # 1/s: PSC_NE_VEL_FLTE and _FLTD
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """1/s for a position error; 1/s, 1/s^2 and 1 for a velocity error, its integral and its derivative."""
+
+    position: float
+    proportional: float
+    integral: float
+    derivative: float
+
+
+HORIZONTAL = Gains(1.0, 2.0, 1.0, 0.25)
+VERTICAL = Gains(1.0, 5.0, 0.0, 0.0)
+INTEGRAL_LIMIT = 10.0  # m/s^2
+
+
+class Axis(Generic[Number]):
+    """One of the two loops: horizontal (complex) or vertical (float)."""
+
+    def __init__(self, gains: Gains, path: Path[Number], most: float) -> None:
+        self._gains, self._most = gains, most
+        self._nothing: Number = path.position * 0
+        self._integral: Number = self._nothing
+        self._error: Number = self._nothing
+        self._derivative: Number = self._nothing
+        self._asked: Number = self._nothing
+        self.path: Path[Number] = path
+
+    def begin(self, position: Number, velocity: Number) -> None:
+        """Start anew from where the vehicle is and as it moves, without a jump of what is asked for."""
+        if self._gains.integral:
+            self.path.begin(position, velocity, self._nothing)
+            self._integral = self._asked
+        else:
+            self.path.begin(position, velocity, limited(self._asked, self.path.acceleration_limit))
+        self._error = self._derivative = self._nothing
+
+    def rest(self) -> None:
+        """Nothing is asked for: the vehicle is on the ground."""
+        self._asked = self._nothing
+
+    def acceleration(self, position: Number, velocity: Number, speed: float, dt: float) -> Number:
+        """What to ask of the body; `speed` limits what a position error may ask for."""
+        gains, path = self._gains, self.path
+        limit = path.acceleration_limit
+        off = limited(path.position - position, reach(speed, gains.position, limit))
+        path.position = position + off  # a path does not run away from a vehicle that cannot follow
+        wrong = path.velocity + approach(off, gains.position, limit, dt) - velocity
+        share = ERROR_FILTER * dt / (1 + ERROR_FILTER * dt)
+        before = self._error
+        self._error += (wrong - self._error) * share
+        self._derivative += ((self._error - before) / dt - self._derivative) * share
+        self._integral = limited(self._integral + self._error * (gains.integral * dt), INTEGRAL_LIMIT)
+        correction = self._error * gains.proportional + self._integral + self._derivative * gains.derivative
+        self._asked = limited(path.acceleration + correction, self._most)
+        return self._asked
+
+
+def horizontal() -> Axis[complex]:
+    """The loop of both horizontal directions."""
+    return Axis(HORIZONTAL, Path(0j, 0j, 0j, ACCELERATION, JERK), MOST)
+
+
+def vertical() -> Axis[float]:
+    """The loop of the height."""
+    return Axis(VERTICAL, Path(0.0, 0.0, 0.0, ACCELERATION_UP, JERK_UP), 9.81)
+
 
 Vector = tuple[float, float, float]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from koordgen.runtime.monitor.told import told
+from koordgen.runtime.monitor.monitor import told
 from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
 from targets.sim.trace.schema import Found, Verdict, Violation
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from koordgen.runtime.program.skips import name_of
+from koordgen.runtime.program.runner import name_of
 from targets.sim.base.bodies import Vector
 from targets.sim.run.run import Outcome
 from targets.sim.trace.noticed import Monitored, Noticed

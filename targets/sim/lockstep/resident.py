@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib
 import math
 import traceback
+from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ import msgspec
 
 from koordgen.runtime.agent.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
 from koordgen.runtime.agent.machine import Agent as Machine
+from koordgen.runtime.agent.store import KEPT, Acceptor, Kept, Loaded, Locals, Mission
 from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.layout import TooLarge
 from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
@@ -29,13 +31,42 @@ from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.sim.base.bodies import Embodied
 from targets.sim.base.scenario import Robot, Scenario
-from targets.sim.lockstep.keep import MemoryStore
 from targets.sim.lockstep.own import Own
 from targets.sim.lockstep.shares import Shares
 from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
 from targets.sim.run.crew import Agent
 from targets.sim.run.stage import Actor
 from targets.sim.trace.schema import Record, decoded
+
+# What a robot in lockstep finds again after a crash: as much as the file of a real one holds (runtime/agent/store.py).
+
+
+class MemoryStore:
+    """Implements `koordgen.runtime.agent.store.Keeper`; it outlives its agent."""
+
+    def __init__(self) -> None:
+        self._mission: Mission | None = None
+        self._acceptor: Acceptor | None = None
+        self._locals: deque[Locals] = deque(maxlen=KEPT + 1)
+
+    def write(self, record: Kept) -> bool:
+        match record:
+            case Mission():
+                self._mission = record
+            case Acceptor():
+                self._acceptor = record
+            case Locals():
+                self._locals.append(record)
+        return True
+
+    def load(self) -> Loaded:
+        newest = {record.round: record for record in self._locals}
+        return Loaded(self._mission, tuple(newest[r] for r in sorted(newest)[-KEPT:]), self._acceptor)
+
+    def clear(self) -> None:
+        self._mission = self._acceptor = None
+        self._locals.clear()
+
 
 KILLED = -9
 HEADER = b'{"kind":"header"'

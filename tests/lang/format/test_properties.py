@@ -11,8 +11,7 @@ import pytest
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.format import formatted, same
-from koordgen.lang.format.arrange import arranged
-from koordgen.lang.format.rows import rows
+from koordgen.lang.format.arrange import arranged, rows
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
 

@@ -10,8 +10,7 @@ import pytest
 from koordgen.cli import main
 from koordgen.lang.check.sections.program import check
 from koordgen.lang.diagnostics import Diagnostic, Edit, InternalError
-from koordgen.lang.format.edits import applied, compatible
-from koordgen.lang.format.upgrade import Checker, upgraded
+from koordgen.lang.format.upgrade import Checker, applied, compatible, upgraded
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 

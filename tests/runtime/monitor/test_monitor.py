@@ -13,13 +13,11 @@ import pytest
 from benchmarks.fixtures.fleet import settings
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
-from koordgen.runtime.monitor.allowance import Allowance
-from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, Monitors
+from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, Allowance, Monitors
 from koordgen.runtime.program.extern import Contract
 from koordgen.runtime.program.program import Effects, Fault, Frame
 from koordgen.runtime.program.property import Properties
-from koordgen.runtime.program.runner import Limit, Overrun, unlimited
-from koordgen.runtime.program.skips import LEFT
+from koordgen.runtime.program.runner import LEFT, Limit, Overrun, unlimited
 from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Change, Moment
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point

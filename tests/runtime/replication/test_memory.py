@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from koordgen.runtime.net.wire import Closing, View, Write
-from koordgen.runtime.replication.commits import winner
 from koordgen.runtime.replication.log import GAPS, Entry
 from koordgen.runtime.replication.memory import AHEAD, WINDOW, Memory
+from koordgen.runtime.replication.outcome import winner
 from tests.runtime.replication.memories import everything, fleet, give, layout, log_of, one, said, silence, view, write
 
 

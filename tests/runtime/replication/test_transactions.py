@@ -12,7 +12,7 @@ from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.program import Event, Program, Stopped
-from koordgen.runtime.replication.commits import winner
+from koordgen.runtime.replication.outcome import winner
 
 OFTEN = 12  # times that each robot counts
 

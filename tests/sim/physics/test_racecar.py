@@ -12,8 +12,7 @@ from targets.car.base.bicycle import State
 from targets.car.control.fence import beyond
 from targets.car.control.mpc import Command
 from targets.sim.base.bodies import BodyState
-from targets.sim.physics.car import Running, SimulatedCar
-from targets.sim.physics.tyres import Chassis, impulses
+from targets.sim.physics.car import Chassis, Running, SimulatedCar, impulses
 from targets.sim.physics.world import GRAVITY, STEP, World
 from tests.car.platform.world import FENCE, TestBody
 from tests.car.platform.world import World as CarWorld

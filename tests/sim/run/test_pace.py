@@ -12,7 +12,7 @@ import pytest
 from targets.sim.base.scenario import load
 from targets.sim.physics.world import STEP
 from targets.sim.realtime import realtime
-from targets.sim.realtime.pace import BURST, MOST_BEHIND, Pace
+from targets.sim.realtime.realtime import BURST, MOST_BEHIND, Pace
 from targets.sim.run.run import Run
 from tests.sim.run.fake_fleet import bundle, enlist
 from tests.sim.run.test_harness import sim, summary

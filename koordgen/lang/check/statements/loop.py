@@ -13,14 +13,13 @@ from koordgen.lang.analyze.runs import Loop
 from koordgen.lang.analyze.walk import statements
 from koordgen.lang.check import bounds
 from koordgen.lang.check.base import a, condition
-from koordgen.lang.check.block import Out, check_block
-from koordgen.lang.check.context import Context
+from koordgen.lang.check.context import Context, Out, check_block
 from koordgen.lang.check.expressions.collection import check_domain, declare, elements
 from koordgen.lang.check.expressions.dialect import old_for
 from koordgen.lang.check.expressions.name import module_named
 from koordgen.lang.check.invariant import check_invariants, split
 from koordgen.lang.check.statements.progress import ends
-from koordgen.lang.check.statements.update import updates
+from koordgen.lang.check.statements.target import updates
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.decl import Local, Shared

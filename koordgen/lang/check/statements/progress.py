@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from koordgen.lang.analyze.walk import nodes, statements
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.statements.update import updates
+from koordgen.lang.check.statements.target import updates
 from koordgen.lang.syntax import expr as ast
 from koordgen.lang.syntax import stmt as tree
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from koordgen.lang.analyze.path import Condition, Path, is_open, joined
 from koordgen.lang.check import bounds
 from koordgen.lang.check.base import a, check_expr, condition, default, fitting
-from koordgen.lang.check.block import STATEMENTS, Out, check_block, learn
-from koordgen.lang.check.context import Context
+from koordgen.lang.check.context import STATEMENTS, Context, Out, check_block, learn
 from koordgen.lang.check.expressions.collection import declare
 from koordgen.lang.check.expressions.expr import arithmetic
 from koordgen.lang.check.expressions.name import declared_port, module_named
 from koordgen.lang.check.statements.loop import check_counted, check_for, check_while
-from koordgen.lang.check.statements.target import Target, check_target, declaration
-from koordgen.lang.check.statements.update import check_update, pops, updates
+from koordgen.lang.check.statements.target import Target, check_target, check_update, declaration, pops, updates
 from koordgen.lang.check.types import resolve
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt

@@ -14,8 +14,7 @@ from koordgen.verify.prove.encode.geometry import Geometry, path_of
 from koordgen.verify.prove.encode.lists import Lists
 from koordgen.verify.prove.encode.quantifier import in_fleet, quantified
 from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.types import parts_of
-from koordgen.verify.prove.encode.values import Changed, Fleet, Known, Val, is_collection, pick, truth
+from koordgen.verify.prove.encode.values import Changed, Fleet, Known, Val, is_collection, parts_of, pick, truth
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 

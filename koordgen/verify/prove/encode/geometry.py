@@ -13,8 +13,7 @@ from __future__ import annotations
 from koordgen.lang.ir.types import POINT, list_of
 from koordgen.verify.prove.encode.lists import Lists
 from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.types import build
-from koordgen.verify.prove.encode.values import Choice, Collection, Known, Val
+from koordgen.verify.prove.encode.values import Choice, Collection, Known, Val, build
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Function, Term
 

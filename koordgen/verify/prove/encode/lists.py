@@ -9,7 +9,6 @@ from __future__ import annotations
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir.types import BOOL, INT, MapOf, PerRobot, Sequence, TupleOf, Type
 from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.types import parts_of, sort_of
 from koordgen.verify.prove.encode.values import (
     Changed,
     Choice,
@@ -19,7 +18,9 @@ from koordgen.verify.prove.encode.values import (
     Named,
     Val,
     is_collection,
+    parts_of,
     pick,
+    sort_of,
     truth,
 )
 from koordgen.verify.prove.smt import term as t

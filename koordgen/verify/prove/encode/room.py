@@ -10,8 +10,7 @@ from contextlib import contextmanager
 
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.types import Type
-from koordgen.verify.prove.encode.types import build, shape
-from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import Fact
 from koordgen.verify.prove.smt.term import Apply, Function, Op, Sort, Term, Value

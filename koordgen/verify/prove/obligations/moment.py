@@ -18,8 +18,7 @@ from koordgen.verify.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.verify.prove.encode.state import Key, State, Written, cleared, declared, sensors
 from koordgen.verify.prove.encode.stmt import Head
 from koordgen.verify.prove.encode.tree import nodes
-from koordgen.verify.prove.encode.types import build, shape
-from koordgen.verify.prove.encode.values import Val
+from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.obligations.fragment import complete
 from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
 from koordgen.verify.prove.smt import term as t

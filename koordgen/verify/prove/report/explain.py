@@ -17,8 +17,7 @@ from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.report.model import Counterexample, replayed, with_values
 from koordgen.verify.prove.report.reach import Bounds, Run, run_to
 from koordgen.verify.prove.report.reading import Reader, Unshowable, flat
-from koordgen.verify.prove.report.strengthen import closing
-from koordgen.verify.prove.report.unassumed import supposing, unassumed
+from koordgen.verify.prove.report.strengthen import closing, supposing, unassumed
 from koordgen.verify.prove.smt.obligation import AtHead, Fact, Obligation
 from koordgen.verify.prove.smt.solve import Answer, Both, Solver
 from koordgen.verify.prove.smt.term import REAL, Term, TooLarge, equals, to_int, to_real

@@ -25,8 +25,7 @@ from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_pr
 from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.verify.prove.report.reading import Reader, Unshowable
-from koordgen.verify.prove.report.served import Served
+from koordgen.verify.prove.report.reading import Reader, Served, Unshowable
 from koordgen.verify.prove.smt.obligation import Cell, Moment, Obligation
 
 

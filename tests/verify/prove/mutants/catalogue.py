@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from koordgen.verify.prove.encode import expr, fold, function, geometry, lists, loop, quantifier, room, state, stmt
+from koordgen.verify.prove.encode import builtins, expr, function, geometry, lists, loop, quantifier, room, state, stmt
 from koordgen.verify.prove.obligations import begin, generate, goal, loops, priority, within
 from koordgen.verify.prove.obligations.moment import Setting, Stage
 from koordgen.verify.prove.report import verdict
@@ -425,7 +425,7 @@ MUTANTS: dict[str, Mutant] = {
         "values", UNSOUND, lists.default, "an actuator at the start",
         "t.BOOL: t.FALSE", "t.BOOL: t.TRUE"),
     "sums are zero": Mutant(
-        "values", UNSOUND, fold.folded, "a sum",
+        "values", UNSOUND, builtins.folded, "a sum",
         "found = t.add(rest, part(value))", "found = zero"),
     "nobody is in a fleet": Mutant(
         "values", UNSOUND, quantifier.in_fleet, "an allread variable as a whole",
@@ -446,7 +446,7 @@ MUTANTS: dict[str, Mutant] = {
         "values", WEAKER, expr._between, "geofence",
         "t.or_(t.and_(t.at_most(a, x), t.at_most(x, b)),", "t.or_(t.FALSE,"),
     "of sums no bounds are known": Mutant(
-        "values", WEAKER, fold._bounded, "sums",
+        "values", WEAKER, builtins._bounded, "sums",
         "for holds, wrong in wrongs:", "for holds, wrong in ():"),
     "of paths no lemma is known": Mutant(
         "values", WEAKER, geometry.Geometry.lemmas, "apart",
