@@ -133,7 +133,7 @@ def test_a_third_signal_ends_at_once(bundles: list[Path], started: list[subproce
     slow = bundles[0].parent / "slow.py"
     slow.write_text(
         f"import sys\nsys.argv[0] = {MAIN!r}\nsys.path.insert(0, {str(Path(MAIN).parents[2])!r})\n"
-        "from pathlib import Path\nfrom tests.runtime import robot_main as r\n"
+        "from pathlib import Path\nfrom tests.runtime.agent import robot_main as r\n"
         "class Never(r.FakePlatform):\n    rested = False\n"
         "body = lambda settings, key: Never(r.STARTS[0])\n"
         "raise SystemExit(r.main(r.PROGRAM, body, Path(sys.argv[1]), []))\n"
