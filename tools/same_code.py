@@ -532,7 +532,7 @@ def _inside(
     rules: Rules,
 ) -> Iterator[str]:
     """Differences between partners: in what their names denote, and in their strings."""
-    for a, b in zip(one.tokens, other.tokens, strict=True):
+    for a, b in _pairs(one, other, moves):
         places = f"{one.module.path}:{a.line} -> {other.module.path}:{b.line}: {one.label}"
         match a.target, b.target:
             case Definition() as before, Definition() as after:
@@ -543,6 +543,22 @@ def _inside(
                 yield f"{places} refers to {start.path}, then to {end.path}"
         if a.literal != b.literal and (a.literal, b.literal) not in (rules.literals or ()):
             yield f"{places} has the string {a.literal!r}, then {b.literal!r}"
+
+
+def _pairs(one: Definition, other: Definition, moves: set[tuple[Module, Module]]) -> Iterator[tuple[Token, Token]]:
+    """Tokens of partners, side by side. Modules that one block imports have no order: each finds where it moved to."""
+    left = list(other.tokens)
+    for at, a in enumerate(one.tokens):
+        if a.key.startswith("import module "):
+            end = next((k for k in range(at, len(left)) if left[k].key != a.key), len(left))
+            fits = [k for k in range(at, end) if _moved(a.target, left[k].target, moves)]
+            chosen = fits[0] if fits else at
+            left[at], left[chosen] = left[chosen], left[at]
+        yield a, left[at]
+
+
+def _moved(start: object, end: object, moves: set[tuple[Module, Module]]) -> bool:
+    return isinstance(start, Module) and isinstance(end, Module) and (start.path == end.path or (start, end) in moves)
 
 
 def _first(one: Definition, other: Definition) -> str:
@@ -625,7 +641,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("paths", metavar="PATH", nargs="*", help="a file or folder, from the root of the repository")
     parser.add_argument("--renames", metavar="FILE", type=Path, help="names that change")
     parser.add_argument("--text", metavar="FILE", type=Path, help="docstrings and listed strings may change")
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     try:
         rules = read_rules(options.renames, options.text)
         old = Commit(read_commit(options.old), rules, old=True)

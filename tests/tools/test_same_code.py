@@ -105,6 +105,29 @@ def test_a_move_passes_however_the_names_are_imported(compare: Compare) -> None:
     assert "the same code" in printed
 
 
+def test_imports_of_one_block_have_no_order(compare: Compare) -> None:
+    """Sorted imports change their order when a module's path changes."""
+    old = {
+        "a.py": "def first() -> int:\n    return 1\n",
+        "b.py": "def second() -> int:\n    return 2\n",
+        "user.py": "def use() -> int:\n    import a\n    import b\n    return a.first() - b.second()\n",
+    }
+    new = {
+        "z/a.py": old["a.py"],
+        "b.py": old["b.py"],
+        "user.py": "def use() -> int:\n    import b\n    from z import a\n    return a.first() - b.second()\n",
+    }
+    assert compare(old, new)[0] == 0
+    swapped = new | {"user.py": new["user.py"].replace("a.first() - b.second()", "b.second() - a.first()")}
+    assert compare(old, swapped)[0] == 1
+
+
+def test_options_may_stand_before_paths(compare: Compare, tmp_path: Path) -> None:
+    compare(APP, MOVED)
+    (tmp_path / "empty").write_text("")
+    assert main(["HEAD~1", "HEAD", "--text", str(tmp_path / "empty"), "app"]) == 0
+
+
 def test_a_move_with_a_changed_constant_fails_with_both_places(compare: Compare) -> None:
     status, printed = compare(APP, {**MOVED, "app/sizes.py": "\n" + LIMITS.replace("3", "5")})
     assert status == 1
