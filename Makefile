@@ -78,7 +78,7 @@ generated: $(STAMP)
 	$(PY) -m koordgen.lang.syntax.generate
 	$(PY) -m koordgen.lang.syntax.page
 	$(PY) -m koordgen.build.emit.generate
-	$(PY) -m targets.car.control.solver.generate
+	$(PY) -m tools.generate_solver
 
 $(STAMP): requirements.lock pyproject.toml
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUPPORTED)' || \

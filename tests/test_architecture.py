@@ -276,7 +276,7 @@ def test_functions_and_templates_keep_to_their_size() -> None:
         "koordgen.lang.syntax.generate",
         "koordgen.lang.syntax.page",
         "koordgen.build.emit.generate",
-        "targets.car.control.solver.generate",
+        "tools.generate_solver",
     ],
 )
 def test_what_is_generated_is_fresh(generator: str) -> None:

@@ -5,16 +5,13 @@ Metres, local ENU. All of it is frozen and goes through a pipe as MessagePack.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
 
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Obstacle
 from koordgen.runtime.values.points import Grid, Point
-
-if TYPE_CHECKING:
-    pass
 
 Path = tuple[Point, ...]
 
