@@ -1,6 +1,6 @@
 """How much a variable may hold: its most bytes on the wire, and why a value does not fit.
 
-Mirrors the structure of a Koord type; koordgen/build/emit/bound.py writes these down in generated programs.
+Mirrors the structure of a Koord type; koordgen/build/emit/types.py writes these down in generated programs.
 """
 
 from __future__ import annotations

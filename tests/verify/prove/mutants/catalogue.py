@@ -20,7 +20,7 @@ class Mutant(NamedTuple):
 
     `rule`: the rule that is broken; "values" for the encoding of values. `unsound`: with the mutant the prover says
     PROVED of what a run breaks; otherwise proofs fail, or a contradiction of assumptions is not seen. `program`: the
-    one of `PROGRAMS` in mutant_programs.py that shows it."""
+    one of `PROGRAMS` in programs.py that shows it."""
 
     rule: str
     unsound: bool
