@@ -13,9 +13,9 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.lang.ir.decl import Program
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.plan import CannotFollow, planned
 from koordgen.verify.follow.read import read
-from koordgen.verify.replay.trace import BadTrace
 from tests.explore.test_search import LOST
 from tests.sim.following import fleet, follow
 from tests.sim.test_follow import GRID, MOVED, found

@@ -17,7 +17,7 @@ import pytest
 
 from targets.sim import harness
 from targets.sim.run import run
-from targets.sim.trace import schema as trace
+from targets.sim.trace import files as trace
 from tests.sim.fake_fleet import wait_for_a_round
 from tests.sim.lockstep import Plan, built, played, summary
 

@@ -113,6 +113,7 @@ class RobotHeader(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     delta: float  # length of a round, s
     program_hash: str  # 16 hexadecimal digits
     part: int | UnsetType = UNSET  # number of a later part of the trace, from 1
+    followed: str | UnsetType = UNSET  # as in Header
 
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
@@ -192,7 +193,8 @@ class EventFault(msgspec.Struct, frozen=True):
     reason: str = "?"
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}: {self.reason}" if self.line else f"{self.file}: {self.reason}"
+        place = f"{self.file}:{self.line}" if self.line else self.file
+        return f"{place}: {self.reason}" if place else self.reason
 
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
@@ -329,8 +331,8 @@ Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
 
 
 class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
-    """Verdict of a simulated run on one property, at the mission's end. A loop invariant has one only if it was false.
-    """
+    """Verdict of a simulated run on one property, at the mission's end. A loop invariant has one only if it was ever
+    false."""
 
     t: float  # s
     of: str  # invariant, initially, assume, axiom, loop invariant
@@ -385,6 +387,8 @@ TraceRecord = Header | Pose | OfRobot | Mark
 KINDS: dict[str, type[msgspec.Struct]] = {str(kind.__struct_config__.tag): kind for kind in TraceRecord.__args__}
 OF_APPLICATIONS = frozenset(kind for kind, type_ in KINDS.items() if "application" in type_.__struct_fields__)
 _record = msgspec.json.Decoder(TraceRecord)
+_header = msgspec.json.Decoder(Header)
+_robot_header = msgspec.json.Decoder(RobotHeader)
 _kind = msgspec.json.Decoder(_Kind)
 _headed = msgspec.json.Decoder(_Headed)
 _raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
@@ -401,6 +405,20 @@ def decoded(line: bytes) -> TraceRecord | None:
             raise
         return None
     return record
+
+
+def decoded_header(line: bytes) -> Header | RobotHeader:
+    """Return the header in a line: of a robot's own trace if it names a robot. Raises msgspec.DecodeError."""
+    return _robot_header.decode(line) if "robot" in _raw.decode(line) else _header.decode(line)
+
+
+def misfit(line: bytes) -> str:
+    """Return why a line does not fit the schema; empty if it does, or if this version does not know its kind."""
+    try:
+        decoded(line)
+    except (msgspec.DecodeError, RecursionError) as error:
+        return str(error) or type(error).__name__
+    return ""
 
 
 def plain(record: msgspec.Struct) -> dict[str, Any]:
