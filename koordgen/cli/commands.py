@@ -52,7 +52,7 @@ COMMANDS: dict[str, Command] = {
         "sim#the-report", ("koordgen report run-lineform", "koordgen report run-lineform -o lineform.html")),
     "export": Command(AFTER, "write a run's trace as MCAP, CSV, picture or film, or an old one anew", options.export,
         "sim#exports", ("koordgen export run-lineform --to csv",
-        "koordgen export run-lineform --to mp4 -o lineform.mp4", "koordgen export old-run --to koord-trace/2")),
+        "koordgen export old-run --to koord-trace/2")),
     "show": Command(AFTER, "show what each robot of a run knew at a time", options.show,
         "cli#show", ("koordgen show run-lineform", "koordgen show run-lineform --at 12")),
     "replay": Command(AFTER, "run a trace's program again on the recorded inputs, and compare the results",

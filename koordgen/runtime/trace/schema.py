@@ -13,8 +13,8 @@ lacks `applications` and `application`: `upgraded` adds both, so each reader has
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -25,6 +25,7 @@ from koordgen.runtime.values.obstacles import Obstacle
 FORMAT = "koord-trace/2"
 OLD_FORMAT = "koord-trace/1"
 FAMILY = "koord-trace/"
+NO_HEADER = f"no header of format {FORMAT} or {OLD_FORMAT}"
 HEADER = b'{"kind":"header"'  # beginning of a header as agents write it
 MOST_ROBOTS = 1000
 MOST_ROUND = 100_000_000
@@ -136,7 +137,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": none
     applications: tuple[str, ...] = ()  # names of the applications that records name; one today, `app`
     counterexample: Literal["run", "step"] | UnsetType = UNSET  # no run of robots: from an initial state, from any
-    params: Values | UnsetType = UNSET  # of a counterexample: values of the program's params
+    params: Mapping[str, Any] | UnsetType = UNSET  # of a counterexample: values of the program's params
     given: tuple[str, ...] | UnsetType = UNSET  # of a counterexample: params whose values the user gave
 
 
@@ -188,9 +189,9 @@ class Restored(msgspec.Struct, frozen=True):
 class EventFault(msgspec.Struct, frozen=True):
     """Cause for which an event's writes were discarded."""
 
-    file: str = "?"  # of the program
-    line: int = 0  # in that file; 0: not known
-    reason: str = "?"
+    file: str  # of the program
+    line: int  # in that file; 0: not known
+    reason: str
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}" if self.line else self.file
@@ -375,22 +376,15 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-class _Headed(msgspec.Struct):
-    kind: str
-    format: str
-    app: str = ""
-
-
 Mark = Violation | Verdict | Cause | Moved | End
-OfRobot = Phase | Init | Round | Checkpoint | View | Log | Stall | Stream | Monitor | Metrics
-TraceRecord = Header | Pose | OfRobot | Mark
+OfRobot = Pose | Phase | Init | Round | Checkpoint | View | Log | Stall | Stream | Monitor | Metrics
+TraceRecord = Header | OfRobot | Mark
 KINDS: dict[str, type[msgspec.Struct]] = {str(kind.__struct_config__.tag): kind for kind in TraceRecord.__args__}
 OF_APPLICATIONS = frozenset(kind for kind, type_ in KINDS.items() if "application" in type_.__struct_fields__)
 _record = msgspec.json.Decoder(TraceRecord)
 _header = msgspec.json.Decoder(Header)
 _robot_header = msgspec.json.Decoder(RobotHeader)
 _kind = msgspec.json.Decoder(_Kind)
-_headed = msgspec.json.Decoder(_Headed)
 _raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _encoder = msgspec.json.Encoder()
 encoded = _encoder.encode
@@ -430,15 +424,22 @@ def plain(record: msgspec.Struct) -> dict[str, Any]:
 def format_of(line: bytes) -> str:
     """Return the format of the trace that begins with this line; empty if the line is no header of a trace. Raises
     ValueError if this version cannot read the format."""
-    if b'"header"' not in line[:64]:
-        return ""
-    with suppress(msgspec.DecodeError, RecursionError):
-        header = _headed.decode(line)
-        if header.kind == "header" and header.format.startswith(FAMILY):
-            if header.format not in (OLD_FORMAT, FORMAT):
-                raise ValueError(f"its format is {header.format}; this koordgen reads {OLD_FORMAT} and {FORMAT}")
-            return header.format
-    return ""
+    format_ = str(_header_in(line).get("format", ""))
+    if format_ not in ("", OLD_FORMAT, FORMAT):
+        raise ValueError(f"its format is {format_}; this koordgen reads {OLD_FORMAT} and {FORMAT}")
+    return format_
+
+
+def _header_in(line: bytes) -> Mapping[str, Any]:
+    """Return the header of a trace in a line; empty if there is none."""
+    if b'"header"' not in line:
+        return {}
+    try:
+        header = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    is_header = isinstance(header, dict) and header.get("kind") == "header"
+    return header if is_header and str(header.get("format", "")).startswith(FAMILY) else {}
 
 
 def upgraded(line: bytes, application: str) -> bytes:
@@ -472,7 +473,7 @@ class Upgrade:
         """Return the next line of the file. Raises ValueError if this version cannot read its format."""
         format_ = format_of(line)
         if format_:
-            self._application = _headed.decode(line).app if format_ == OLD_FORMAT else None
+            self._application = str(_header_in(line).get("app", "")) if format_ == OLD_FORMAT else None
         return line if self._application is None else upgraded(line, self._application)
 
     def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:

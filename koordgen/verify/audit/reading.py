@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from koordgen.runtime.trace.parts import base_of
-from koordgen.runtime.trace.schema import HEADER, MOST_ROBOTS, BadTrace, Upgrade
+from koordgen.runtime.trace.schema import FORMAT, HEADER, MOST_ROBOTS, NO_HEADER, OLD_FORMAT, BadTrace, Upgrade
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 from koordgen.verify.replay.trace import LONGEST, Line, header_of, parts_of
 
@@ -69,7 +69,7 @@ def found(given: Path) -> list[Path]:
             return [merged]
     below = [path for path in sorted(given.rglob("*.jsonl")) if path.is_file() and _header(path) is not None]
     if not below:
-        raise BadTrace(f"{given}: no file *.jsonl in it is a trace")
+        raise BadTrace(f"{given}: no file *.jsonl in it is a trace of format {FORMAT} or {OLD_FORMAT}")
     return below
 
 
@@ -85,7 +85,7 @@ def opened(path: Path) -> Log:
     """All of a file. Raises BadTrace where it is none."""
     header = _header(path)
     if header is None:
-        raise BadTrace(f"{path}: no header of a trace")
+        raise BadTrace(f"{path}: {NO_HEADER}")
     try:
         log = _log(path, header)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:

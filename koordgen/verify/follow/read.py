@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from koordgen.runtime.trace.schema import BadTrace, format_of
+from koordgen.runtime.trace.schema import NO_HEADER, BadTrace, format_of
 from koordgen.verify.replay.trace import Trace, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
@@ -72,7 +72,7 @@ def read(path: Path) -> Counterexample:
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
-        raise BadTrace(f"{path}: no header of a trace")
+        raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
         raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.runtime.trace.parts import base_of, numbered
-from koordgen.runtime.trace.schema import MOST_ROBOTS, BadTrace, Upgrade, format_of
+from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
 LONGEST = 8 << 20  # bytes of a header
@@ -80,7 +80,7 @@ def opened(path: Path) -> Trace:
     blank = Trace(path, "", "", (), False, 0)
     number, header, line = next(records(blank), (0, {}, b""))
     if not format_of(line):
-        raise BadTrace(f"{path}: no header of a trace")
+        raise BadTrace(f"{path}: {NO_HEADER}")
     try:
         app, program_hash = str(header["app"]), str(header.get("program_hash", ""))
         if "counterexample" in header:

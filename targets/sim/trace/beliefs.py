@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Values
+from koordgen.runtime.trace.schema import Header, Init, OfRobot, Phase, Pose, Round, TraceRecord, Values
 
 IDLE = "no event enabled"  # reason for which a robot with a current copy of the store skipped a round
 Of = Literal["sensor", "local", "actuator", "shared"]
@@ -53,7 +53,7 @@ class Beliefs:
 
     def take(self, record: TraceRecord) -> list[Change]:
         """Take in one record; return what it changed."""
-        belief = self.robots.get(getattr(record, "pid", -1))
+        belief = self.robots.get(record.pid) if isinstance(record, OfRobot) else None
         if belief is None:
             return []
         match record:

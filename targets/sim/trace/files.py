@@ -17,6 +17,7 @@ import msgspec
 from koordgen.runtime.trace.schema import (
     HEADER,
     LEFT_OUT,
+    NO_HEADER,
     OF_EVENTS,
     BadTrace,
     Header,
@@ -169,7 +170,7 @@ def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:
     found = lines(path)
     _, _, header = next(found)
     if not isinstance(header, Header):
-        raise BadTrace(f"{path}: no header of a run's trace, but of one robot's own")
+        raise BadTrace(f"{path}: no header of a run's trace; it is a robot's own")
     return header, (record for _, _, record in found if record is not None and not isinstance(record, RobotHeader))
 
 
@@ -183,7 +184,7 @@ def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | 
                 line = upgrade.line(line)
                 record = decoded_header(line) if format_of(line) else decoded(line)
                 if number == 1 and not isinstance(record, Header | RobotHeader):
-                    raise BadTrace(f"{path}: no header of a trace")
+                    raise BadTrace(f"{path}: {NO_HEADER}")
                 yield number, line, record
     except OSError as error:
         raise BadTrace(f"{path}: {error.strerror or error}") from None
@@ -191,7 +192,7 @@ def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | 
         cut = "" if line.endswith(b"\n") else "; the file is cut off there"
         raise BadTrace(f"{path}:{number}: {error}{cut}") from None
     if not number:
-        raise BadTrace(f"{path}: no header of a trace: it is empty")
+        raise BadTrace(f"{path}: {NO_HEADER}; the file is empty")
 
 
 def upgrade(path: Path, made: Path) -> str:

@@ -27,6 +27,7 @@ from koordgen.runtime.trace.schema import (
     Log,
     Metrics,
     Moved,
+    OfRobot,
     Phase,
     Pose,
     Round,
@@ -60,7 +61,7 @@ class Messages:
         yield "/scene", "foxglove.SceneUpdate", _scene(scene.standing(self._header, at) + markers)
 
     def of(self, record: TraceRecord, at: int) -> Iterator[Message]:
-        pid = getattr(record, "pid", -1)
+        pid = record.pid if isinstance(record, OfRobot) else -1
         name = self._names[pid] if 0 <= pid < len(self._names) else ""
         match record:
             case Header():
