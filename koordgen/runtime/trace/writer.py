@@ -97,9 +97,9 @@ class Trace:
                 locals=after.locals,
                 shared=effects.shared,
                 actuators=after.actuators,
-                violated=_given(effects.violated),
+                violated=effects.violated or LEFT_OUT,
                 stopped=after.stopped,
-                calls=_given(calls),
+                calls=calls or LEFT_OUT,
                 time=time,
                 t=LEFT_OUT,
                 pid=LEFT_OUT,
@@ -142,28 +142,19 @@ class Trace:
         record, of an allread variable by pid."""
         self._turn_if_full(record.time)
         fault, effects, restored = record.fault, record.effects, record.restored
+        shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
+        violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)
+        # By position, in the order of the schema: keywords cost five times as much.
         line = schema.Round(
-            round=record.round,
-            event=record.event,
-            skipped=record.skipped,
-            fault=schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
-            late=round(record.late, 6),
-            sensors=record.sensors,
-            locals=_given(_written(record)),
-            shared=effects.shared if effects else {},
-            actuators=effects.actuators if effects else {},
-            copy=_given(self._changed(record)),
-            calls=_given(record.calls),
-            violated=_given(effects and effects.violated),
-            stopped=_given(effects and effects.stopped),
-            restored=_restored(restored) if restored else LEFT_OUT,
-            clock_bound=round(clock_bound, 6),
-            counters=_given(counters),
-            time=record.time,
-            t=LEFT_OUT,
-            pid=LEFT_OUT,
-            application=self._application,
-        )
+            record.round, record.event, record.skipped,
+            schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
+            round(record.late, 6), record.sensors,
+            _written(record) or LEFT_OUT, shared, actuators, self._changed(record) or LEFT_OUT,
+            record.calls or LEFT_OUT, violated or LEFT_OUT, stopped or LEFT_OUT,
+            _restored(restored) if restored else LEFT_OUT,
+            round(clock_bound, 6), counters or LEFT_OUT,
+            record.time, LEFT_OUT, LEFT_OUT, self._application,
+        )  # fmt: skip
         self._write(line)
         self._live(record)
 
@@ -242,11 +233,6 @@ class Trace:
     def _end(self, error: OSError) -> None:
         self.close()
         self._warn(f"the trace ends here: {error.strerror or error}")
-
-
-def _given(value: Any) -> Any:
-    """Return a value that is written; an empty one is left out."""
-    return value or LEFT_OUT
 
 
 def _restored(life: Life) -> schema.Restored:
