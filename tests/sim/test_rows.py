@@ -17,6 +17,7 @@ from koordgen.runtime.trace.schema import (
     EventFault,
     Init,
     Metrics,
+    PeerQuality,
     Pose,
     Round,
     Shared,
@@ -111,7 +112,10 @@ def test_the_closest_pair_is_that_of_all_robots_once_all_are_known() -> None:
 
 
 def test_links_marks_and_strangers() -> None:
-    peers = {"1": {"loss": 0.25, "delay_ms": {"p50": 1.5, "p99": 4}, "silent_ms": None, "repeats": 2}, "x": {}}
+    peers: dict[str, PeerQuality] = {
+        "1": {"loss": 0.25, "delay_ms": {"p50": 1.5, "p99": 4}, "silent_ms": None, "repeats": 2},
+        "x": {},
+    }
     found = rows(
         Metrics(peers=peers, rejected={"mac": 2, "epoch": 1}, t=9.0, pid=0),
         Violation(2.0, "separation", ("alice", "bert"), "0.2 m apart"),

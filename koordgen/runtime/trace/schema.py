@@ -7,6 +7,9 @@ seconds since the start of round 1 (negative before), and `pid`, the number of t
 metres, local ENU: x east, y north, z up. Yaw is in radians, counter-clockwise from east. Values of the program are JSON
 by the program's types; numbers that are not finite are null.
 
+The comment behind each field says what the key means, and in brackets its unit; docs/sim.md has the same as tables
+(`python -m tools.trace_tables`).
+
 Agents write these types, simulators merge them, and all readers check what they read against them. Format koord-trace/1
 lacks `applications` and `application`: `upgraded` adds both, so each reader has the present format only.
 """
@@ -15,7 +18,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -48,7 +51,7 @@ class BadTrace(Exception):
 class RobotName(msgspec.Struct, frozen=True):
     """One robot of a run."""
 
-    name: str
+    name: str  # as in the fleet file
     pid: int  # from 0, without gaps
     target: str  # platform, such as quad
 
@@ -56,83 +59,83 @@ class RobotName(msgspec.Struct, frozen=True):
 class Shared(msgspec.Struct, frozen=True):
     """A shared variable of the program."""
 
-    name: str
+    name: str  # as in the program
     kind: str  # allread: one value for each robot; allwrite: one value
     type: str  # in Koord
 
 
 class Box(msgspec.Struct, frozen=True):
-    """An axis-parallel box between two corners, metres."""
+    """An axis-parallel box."""
 
-    lo: Vector
-    hi: Vector
+    lo: Vector  # lower corner [m]
+    hi: Vector  # upper corner [m]
 
 
 class Wind(msgspec.Struct, frozen=True):
     """Wind of a simulated world."""
 
-    mean: Vector = (0.0, 0.0, 0.0)  # m/s, ENU
-    gust: float = 0.0  # standard deviation of the gusts in each direction, m/s
-    correlation: float = 1.0  # time in which gusts change, s
+    mean: Vector = (0.0, 0.0, 0.0)  # mean velocity, ENU [m/s]
+    gust: float = 0.0  # standard deviation of the gusts in each direction [m/s]
+    correlation: float = 1.0  # time in which gusts change [s]
 
 
 class Marker(msgspec.Struct, frozen=True):
     """A place of interest, reached within `radius`."""
 
-    name: str
-    position: Vector  # metres
-    radius: float = 0.3  # metres
+    name: str  # for people
+    position: Vector  # of its middle [m]
+    radius: float = 0.3  # within which it counts as reached [m]
 
 
 class MarkerList(msgspec.Struct, frozen=True):
     """A shared list whose elements at the mission's start are markers."""
 
-    variable: str
+    variable: str  # name of the list
     position: str = ""  # field of an element that holds its place; "": elements are Points
-    radius: float = 0.3  # metres
+    radius: float = 0.3  # within which an element counts as reached [m]
 
 
 class World(msgspec.Struct, frozen=True):
     """Conditions of the world, as the fleet file gives them."""
 
-    arena: Box | None = None
+    arena: Box | None = None  # room in which the fleet moves
     floor_friction: float = 1.0  # multiplies the friction that bodies have on a usual floor
-    wind: Wind = Wind()
-    markers: tuple[Marker, ...] = ()
-    marker_list: MarkerList | None = None
+    wind: Wind = Wind()  # of the air
+    markers: tuple[Marker, ...] = ()  # that stay where they are
+    marker_list: MarkerList | None = None  # of markers that are in a shared list
 
 
 class RobotHeader(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """First record of each part of a robot's own trace."""
 
-    format: str  # koord-trace/2
+    format: str  # version of the trace: koord-trace/2
     app: str  # name of the program
     applications: tuple[str, ...]  # names of the applications that records name; one today, `app`
     robot: str  # name of the robot
-    pid: int  # of the robot
+    pid: int  # of the robot, from 0
     n_sys: int  # number of robots in the fleet
-    delta: float  # length of a round, s
+    delta: float  # length of a round [s]
     program_hash: str  # 16 hexadecimal digits
     part: int | UnsetType = UNSET  # number of a later part of the trace, from 1
-    followed: str | UnsetType = UNSET  # as in Header
+    followed: str | UnsetType = UNSET  # as in the header of a merged trace
 
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """First record of a merged trace: the run, its fleet, its world and its shared variables."""
 
-    format: str  # koord-trace/2
+    format: str  # version of the trace: koord-trace/2
     app: str  # name of the program
     program_hash: str  # 16 hexadecimal digits; "": a counterexample of a program without numbers that robots have
-    delta: float  # length of a round, s
+    delta: float  # length of a round [s]
     seed: int  # of the simulator's random numbers
     robots: tuple[RobotName, ...]  # by pid
-    duration: float = 0.0  # of the mission as asked for, s
+    duration: float = 0.0  # of the mission as asked for [s]
     started: bool = True  # there was a round 1; if not, t counts from the launch
-    min_separation: float = 0.0  # smallest distance of two robots as asked for, m; 0: none
-    geofence: tuple[Vector, Vector] | None = None  # lower and upper corner, m
+    min_separation: float = 0.0  # smallest distance of two robots as asked for; 0: none [m]
+    geofence: tuple[Vector, Vector] | None = None  # lower and upper corner [m]
     obstacles: tuple[Obstacle, ...] = ()  # as in a robot's settings; records name them by number, from 0
-    world: World = World()
-    shared: tuple[Shared, ...] = ()
+    world: World = World()  # conditions of the world
+    shared: tuple[Shared, ...] = ()  # shared variables of the program
     records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types of the program: fields and their types
     followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": none
     applications: tuple[str, ...] = ()  # names of the applications that records name; one today, `app`
@@ -144,11 +147,11 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     """True place of a robot in a simulation, `pose_rate` times a second; in a flight the measured one, once a round."""
 
-    pid: int
-    position: Vector  # metres
-    yaw: float  # radians
-    time: float = 0.0  # s
-    t: float = 0.0  # s
+    pid: int  # of the robot
+    position: Vector  # place [m]
+    yaw: float  # heading [rad]
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
 
 
 class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
@@ -156,9 +159,9 @@ class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
 
     phase: str  # starting, joining, running, resting, rested
     detail: str = ""  # cause or progress, for people
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
 
 
 class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
@@ -170,20 +173,20 @@ class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
     actuators: Values = {}  # all that have a value, afterwards
     violated: tuple[int, ...] = ()  # lines of the loop invariants that were false
     stopped: bool = False  # the program has stopped
-    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # as in Round
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # as in `round`
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
     application: str = ""  # whose `init`
 
 
 class Restored(msgspec.Struct, frozen=True):
     """A robot's own variables after its event of a round."""
 
-    round: LastRound
-    locals: Values = {}
-    actuators: Values = {}
-    stopped: bool = False
+    round: LastRound  # after which the values were these; 0: after `init`
+    locals: Values = {}  # all of them
+    actuators: Values = {}  # all that have a value
+    stopped: bool = False  # the program has stopped
 
 
 class EventFault(msgspec.Struct, frozen=True):
@@ -191,7 +194,7 @@ class EventFault(msgspec.Struct, frozen=True):
 
     file: str  # of the program
     line: int  # in that file; 0: not known
-    reason: str
+    reason: str  # for people
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}" if self.line else self.file
@@ -202,10 +205,10 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """One round of a robot, written when the round is certain to count."""
 
     round: RoundNumber  # from 1; 0 only in a counterexample
-    event: str | None = None  # that ran; None: none did
+    event: str | None = None  # that ran or was discarded; null: none was
     skipped: str | None = None  # reason for which no event ran
     fault: EventFault | None = None  # of the event, whose writes do not count then
-    late: float = 0.0  # from the start of the round to its decision, s
+    late: float = 0.0  # from the start of the round to its decision [s]
     sensors: Values = {}  # as sampled at the start of the round
     locals: Values = {}  # that the event wrote
     shared: Values = {}  # that the event wrote; of an allread variable the robot's own value
@@ -215,11 +218,11 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     violated: tuple[int, ...] = ()  # lines of the loop invariants that were false in the event
     stopped: bool = False  # the program has stopped
     restored: Restored | None = None  # state with which a robot that rejoined went on
-    clock_bound: float = 0.0  # largest error of the robot's fleet time, s
+    clock_bound: float = 0.0  # largest error of the robot's fleet time [s]
     counters: Mapping[str, int] = {}  # counters of the runtime that have changed since the round before
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
     application: str = ""  # whose event
     step: str | UnsetType = UNSET  # of a counterexample: the step after which the values are those of this record
 
@@ -227,11 +230,11 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
 class Checkpoint(msgspec.Struct, frozen=True, tag_field="kind", tag="checkpoint"):
     """State at the beginning of a later part of a robot's trace."""
 
-    round: LastRound  # that earlier parts record last
-    own: Restored | None = None  # own variables after that round; None: not known
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    round: LastRound  # that earlier parts record last; 0: `init`, -1: none
+    own: Restored | None = None  # own variables after that round; null: not known
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
     application: str = ""  # whose variables
 
 
@@ -240,42 +243,44 @@ class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
 
     number: RoundNumber  # of the view, from 0
     since: Annotated[int, Meta(ge=-MOST_ROUND, le=MOST_ROUND)]  # first round of the view
-    members: tuple[Incarnation, ...]  # by pid
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    members: tuple[
+        Incarnation, ...
+    ]  # by pid: starts of the robot's agent in the mission, from 0; -1: it does not count
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
 
 
 class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
     """A log line of the agent."""
 
     level: str = "info"  # info, warning, error
-    message: str = ""
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    message: str = ""  # for people
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
 
 
 class Stall(msgspec.Struct, frozen=True, tag_field="kind", tag="stall"):
     """A robot has no path to its target, or has one again. A `log` record has the same in words."""
 
-    state: Literal["begins", "goes on", "ends"]
+    state: Literal["begins", "goes on", "ends"]  # of the stall
     why: str  # the target, and the obstacle
-    lasted: float  # so far, s
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    lasted: float  # length so far [s]
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
 
 
 class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
     """A line of text that the program sent to a stream."""
 
-    port: str
-    text: str
-    round: RoundNumber = 0
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    port: str  # name of the stream
+    text: str  # one line
+    round: RoundNumber = 0  # whose event sent it
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
     application: str = ""  # whose text
 
 
@@ -283,43 +288,52 @@ class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
     """A property has another outcome than before, by one robot's knowledge."""
 
     of: str  # invariant, assume, requires, ensures, loop invariant
-    name: str
+    name: str  # of the property
     line: str  # such as app.koord:12
     outcome: str  # held, violated, no value, unknown
-    age: Annotated[int, Meta(ge=0)] = 0  # of the oldest value that was read, rounds
-    why: str = ""
+    age: Annotated[int, Meta(ge=0)] = 0  # of the oldest value that was read [rounds]
+    why: str = ""  # values that were read, for people
     action: str = "log"  # log, hold, land, stop
     round: RoundNumber = 0  # at whose start the outcome is true
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
     application: str = ""  # whose property
+
+
+class PeerQuality(TypedDict, total=False):
+    """Quality of the link from one peer, in Metrics."""
+
+    loss: float | None  # share of the datagrams that were sent lately; null: none was
+    delay_ms: dict[str, float]  # percentiles of the datagrams' delay: p50, p99, max [ms]
+    silent_ms: float | None  # time since its last datagram; null: there was none [ms]
+    longest_silence_ms: float  # longest time between two of its datagrams [ms]
+    behind: int  # rounds of it that are not known yet [rounds]
+    repeats: int  # its datagrams that were repetitions
 
 
 class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     """Quality of a robot's links and rounds, every 10 s."""
 
-    late_ms: Mapping[str, float] = {}  # percentiles of `late`: p50, p99, max, ms
+    late_ms: Mapping[str, float] = {}  # percentiles of `late`: p50, p99, max [ms]
     rejected: Mapping[str, int] = {}  # datagrams that were rejected, by cause
-    # By pid: `loss` (share of what was sent), `delay_ms` (percentiles), `silent_ms`, `longest_silence_ms`, `behind`
-    # (rounds), `repeats` (datagrams). A value that is not known is null.
-    peers: Mapping[str, dict[str, Any]] = {}
+    peers: Mapping[str, PeerQuality] = {}  # by pid
     rounds: int = 0  # that the robot has finished
     current: int = 0  # of these, those in which its copy of the shared variables was complete in time
     events: int = 0  # of these, those with an event
     skipped: Mapping[str, int] = {}  # of these, those without one, by reason
-    time: float = 0.0  # s
-    t: float = 0.0  # s
-    pid: int = -1
+    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
+    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int = -1  # in a merged trace: of the robot
 
 
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
     """A run was not as it must be."""
 
-    t: float  # s
+    t: float  # since the start of round 1 [s]
     what: str  # separation, collision, ended, fault, unrest, property, idle
     robots: tuple[str, ...]  # names of those that had a part in it
-    detail: str
+    detail: str  # for people
     name: str = ""  # of the property
     line: str = ""  # of the property, such as app.koord:12
     host: str = ""  # how the computer caused it; "": it did not
@@ -335,14 +349,14 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     """Verdict of a simulated run on one property, at the mission's end. A loop invariant has one only if it was ever
     false."""
 
-    t: float  # s
+    t: float  # since the start of round 1 [s]
     of: str  # invariant, initially, assume, axiom, loop invariant
-    name: str
+    name: str  # of the property
     line: str  # such as app.koord:12
-    outcome: Found
-    since: float | None = None  # first time of that outcome, s; None: from the beginning
+    outcome: Found  # of the whole run
+    since: float | None = None  # when it was first violated, without value or out of model; null: never [s]
     robots: tuple[str, ...] = ()  # names of those for which it was false
-    detail: str = ""
+    detail: str = ""  # values that were read, for people
     moments: int = 0  # at which it was evaluated
     application: str = ""  # whose property
 
@@ -350,17 +364,17 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
 class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
     """A fault was injected."""
 
-    t: float  # s
+    t: float  # since the start of round 1 [s]
     what: str  # network, link, follow, or a kind of event of the scenario file
     robots: tuple[str, ...]  # names
-    detail: str = ""
-    lasts: float | None = None  # s; None: for good, or no time at all
+    detail: str = ""  # for people
+    lasts: float | None = None  # duration; null: for good, or no time at all [s]
 
 
 class Moved(msgspec.Struct, frozen=True, tag_field="kind", tag="moved"):
     """An obstacle was moved, as a fault."""
 
-    t: float  # s
+    t: float  # since the start of round 1 [s]
     number: int  # in the header's `obstacles`, from 0
     obstacle: Obstacle  # at its new place
 
@@ -368,8 +382,8 @@ class Moved(msgspec.Struct, frozen=True, tag_field="kind", tag="moved"):
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     """The mission's end: the agents were told to stop."""
 
-    t: float  # s
-    why: str
+    t: float  # since the start of round 1 [s]
+    why: str  # for people
 
 
 class _Kind(msgspec.Struct):

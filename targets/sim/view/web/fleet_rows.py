@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, Phase, Pose, Round, Shared
+from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, PeerQuality, Phase, Pose, Round, Shared
 from targets.sim.base.bodies import Vector
 from targets.sim.view.data.rows import Chunk, Rows
 
@@ -84,7 +84,7 @@ class Report(msgspec.Struct, frozen=True):
     current: Count = 0
     late_ms: dict[str, float] = {}
     rejected: dict[str, int] = {}
-    peers: dict[str, dict[str, Any]] = {}
+    peers: dict[str, PeerQuality] = {}
 
     @property
     def loss(self) -> float | None:
