@@ -37,8 +37,8 @@ def tables() -> str:
 
 
 def _is_public(node: ast.ClassDef) -> bool:
-    return not node.name.startswith("_") and any("Struct" in ast.unparse(b) or ast.unparse(b) == "TypedDict"
-                                                 for b in node.bases)  # fmt: skip
+    bases = {ast.unparse(base) for base in node.bases}
+    return not node.name.startswith("_") and bool(bases & {"msgspec.Struct", "TypedDict"})
 
 
 def _heading(node: ast.ClassDef) -> str:
@@ -85,7 +85,7 @@ def _types(node: ast.expr, heads: dict[str, str]) -> Iterator[str]:
         case ast.Name(id=name) | ast.Attribute(attr=name):
             yield NAMES.get(name) or heads[name]
         case ast.Constant(value=value):
-            yield "null" if value is None else f"`{value}`"
+            yield "null" if value is None else f"`{value!s}`"
         case ast.Subscript(value=ast.Name(id="Literal"), slice=ast.Tuple(elts=words)):
             for word in words:
                 yield from _types(word, heads)

@@ -41,7 +41,7 @@ Vector = tuple[float, float, float]
 Values = Mapping[str, msgspec.Raw]  # by name, as JSON: the program declares the types
 RoundNumber = Annotated[int, Meta(ge=0, le=MOST_ROUND)]  # 0: `init`
 LastRound = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # -1: none yet, not even `init`
-Incarnation = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # starts of a robot's agent; -1: the robot does not count
+Incarnation = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # starts of an agent before this one; -1: none counts
 
 
 class BadTrace(Exception):
@@ -243,9 +243,7 @@ class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
 
     number: RoundNumber  # of the view, from 0
     since: Annotated[int, Meta(ge=-MOST_ROUND, le=MOST_ROUND)]  # first round of the view
-    members: tuple[
-        Incarnation, ...
-    ]  # by pid: starts of the robot's agent in the mission, from 0; -1: it does not count
+    members: tuple[Incarnation, ...]  # by pid: earlier starts of the robot's agent; -1: it does not count
     time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
     t: float = 0.0  # in a merged trace: since the start of round 1 [s]
     pid: int = -1  # in a merged trace: of the robot
