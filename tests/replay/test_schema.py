@@ -5,10 +5,14 @@ from __future__ import annotations
 import io
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM
@@ -104,8 +108,8 @@ def test_what_can_be_exported_names_the_present_format() -> None:
 @pytest.mark.parametrize("path", OLD_TRACES, ids=lambda path: str(path.relative_to(OLD)))
 def test_an_old_trace_becomes_a_new_one_and_loses_nothing(path: Path) -> None:
     old = path.read_bytes().splitlines(keepends=True)
-    new = list(Upgrade().lines(old))
-    assert list(Upgrade().lines(new)) == new, "what is new stays as it is"
+    new = list(map(Upgrade().line, old))
+    assert list(map(Upgrade().line, new)) == new, "what is new stays as it is"
     for before, after in zip(map(json.loads, old), map(json.loads, new), strict=True):
         assert schema.misfit(json.dumps(after).encode()) == "" or after["kind"] == "header"
         if before["kind"] == "header":
@@ -124,7 +128,18 @@ def test_only_violations_of_an_application_name_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "line", [b"", b"\n", b"no JSON", b"[1]", b'{"kind":7}', b'{"kind":"new","x":NaN}', b"[" * 100_000]
+    "line",
+    [
+        b"",
+        b"\n",
+        b"no JSON",
+        b"[1]",
+        b'{"kind":7}',
+        b'{"kind":"round","\xff":1}',
+        b'{"kind":"\xff"}',
+        b'{"kind":"new","x":NaN}',
+        b"[" * 100_000,
+    ],
 )
 def test_what_is_no_record_stays_as_it_is(line: bytes) -> None:
     assert upgraded(line, "a") == line
@@ -135,3 +150,17 @@ def test_a_later_format_is_named() -> None:
     with pytest.raises(ValueError, match="its format is koord-trace/3; this koordgen reads koord-trace/1 and koord-tr"):
         Upgrade().line(header)
     assert schema.format_of(b'{"kind":"header","format":"other/1"}') == ""
+
+
+@given(st.integers(0, 10**6), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=3))
+@settings(max_examples=300, deadline=None)
+def test_a_damaged_line_is_a_record_or_none(number: int, changes: list[tuple[int, int]]) -> None:
+    lines = (OLD / "run/robots/alice/trace.jsonl").read_bytes().splitlines()
+    line = bytearray(lines[number % len(lines)])
+    for place, byte in changes:
+        line[place % len(line)] = byte
+    if not line.startswith(b'{"kind":"header"'):
+        new = upgraded(bytes(line), "a")
+        schema.misfit(new)
+        with suppress(msgspec.DecodeError):
+            schema.decoded(new)

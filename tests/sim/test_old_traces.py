@@ -17,6 +17,7 @@ from koordgen.cli import main
 from koordgen.runtime.trace.schema import FORMAT, OLD_FORMAT, BadTrace
 from koordgen.verify.follow.read import read as read_counterexample
 from targets.sim.base.folder import RunFolder
+from targets.sim.trace.collected import merge
 from targets.sim.trace.files import read
 from tests.disk import small_disk
 from tests.replay.test_schema import OLD, OLD_TRACES
@@ -79,6 +80,21 @@ def test_old_parts_of_a_trace_are_one(old: Path, capsys: pytest.CaptureFixture[s
     assert main(["replay", str(old / "parts/trace.jsonl")]) == 0
     assert "1 robot, 16 rounds, 8 events: as the program means" in capsys.readouterr().out
     assert main(["audit", str(old / "parts"), "--format", "json"]) == 4, "the other robot's trace is not there"
+
+
+def test_old_traces_of_robots_are_merged_into_a_new_one(old: Path) -> None:
+    names = ("alice", "bert")
+    robots = [{"name": name, "pid": pid, "target": "quad"} for pid, name in enumerate(names)]
+    header = {"format": FORMAT, "app": "lineform", "program_hash": "0", "delta": 0.1, "seed": 0, "robots": robots}
+    traces = [[old / "run/robots" / name / "trace.jsonl"] for name in names]
+    with traces[1][0].open("ab") as file:
+        file.write(b'{"kind":"round","round":9,"ski\xffped":null,"time":18.0}\nbroken\n')
+    merge(old / "whole.jsonl", {"kind": "header", **header}, traces, 2.0)
+    records = [json.loads(line) for line in (old / "whole.jsonl").read_bytes().splitlines()]
+    events = [each for each in records if each["kind"] in ("init", "round")]
+    assert len(events) > 80 and {each["application"] for each in events} == {"lineform"}
+    poses = [each for each in records if each["kind"] == "pose"]
+    assert len(poses) == len(events) and not any("application" in each for each in poses)
 
 
 def test_agents_follow_an_old_counterexample(old: Path) -> None:

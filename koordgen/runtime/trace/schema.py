@@ -17,7 +17,7 @@ lacks `applications` and `application`: `upgraded` adds both, so each reader has
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypedDict
 
 import msgspec
@@ -410,6 +410,8 @@ def decoded(line: bytes) -> TraceRecord | None:
         if _kind.decode(line).kind in KINDS:
             raise
         return None
+    except UnicodeDecodeError as error:
+        raise msgspec.DecodeError(str(error)) from None
     return record
 
 
@@ -422,7 +424,7 @@ def misfit(line: bytes) -> str:
     """Return why a line does not fit the schema; empty if it does, or if this version does not know its kind."""
     try:
         decoded(line)
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         return str(error) or type(error).__name__
     return ""
 
@@ -460,7 +462,7 @@ def upgraded(line: bytes, application: str) -> bytes:
     try:
         record = _raw.decode(line)
         kind = str(msgspec.json.decode(record["kind"]))
-    except (msgspec.DecodeError, KeyError, RecursionError):
+    except (ValueError, KeyError, RecursionError):
         return line
     if kind == "header" and bytes(record.get("format", b"")) == b'"%s"' % OLD_FORMAT.encode():
         named = {"format": msgspec.Raw(encoded(FORMAT)), "applications": msgspec.Raw(encoded([application]))}
@@ -487,7 +489,3 @@ class Upgrade:
         if format_:
             self._application = str(_header_in(line).get("app", "")) if format_ == OLD_FORMAT else None
         return line if self._application is None else upgraded(line, self._application)
-
-    def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
-        """Return all lines. Raises as `line`."""
-        return map(self.line, lines)

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import msgspec
 
 from koordgen.runtime.trace.schema import (
-    HEADER,
     LEFT_OUT,
     End,
     Header,
@@ -30,9 +29,8 @@ from koordgen.runtime.trace.schema import (
     encoded,
     upgraded,
 )
-from targets.sim.trace.files import Timed, at
+from targets.sim.trace.files import at, time_of
 
-_timed = msgspec.json.Decoder(Timed)
 _place_and_yaw = msgspec.json.Decoder(tuple[Vector, float])
 _position = msgspec.json.Decoder(Vector)
 _AGAIN = (b'{"kind":"phase"', b'{"kind":"view"')  # a later part of a trace repeats these
@@ -109,7 +107,7 @@ def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], 
         with path.open("rb") as file:
             for line in file:
                 offset, after = after, after + len(line)
-                time = _time(line)
+                time = time_of(line)
                 if time is None or (line.startswith(_AGAIN) and line in seen):
                     continue
                 if line.startswith(_AGAIN):
@@ -120,16 +118,6 @@ def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], 
                     clock.round(record, delta)
         clocks.append(clock or (clocks[-1] if clocks else clock))
     return places, clocks
-
-
-def _time(line: bytes) -> float | None:
-    """Return when a record was written on the robot's clock; None of a header, and of a line that is no record."""
-    if not line.endswith(b"\n") or line.startswith(HEADER):
-        return None
-    with suppress(msgspec.DecodeError, RecursionError):
-        decoded(line)
-        return _timed.decode(line).time
-    return None
 
 
 def _pose(sensors: Values) -> tuple[Vector, float] | None:

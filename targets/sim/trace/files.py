@@ -40,13 +40,13 @@ LATE = 0.5  # of delta: a round decided later than this is late
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
 
 
-class Timed(msgspec.Struct):
+class _Timed(msgspec.Struct):
     """Time of a record of a robot's own trace, of any kind."""
 
     time: float | None = None
 
 
-_time = msgspec.json.Decoder(Timed)
+_time = msgspec.json.Decoder(_Timed)
 _raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
@@ -125,6 +125,18 @@ def at(line: bytes, t: float, pid: int) -> bytes:
     return encoded({**own, **record})
 
 
+def time_of(line: bytes) -> float | None:
+    """Return when a record of a robot's own trace was written, by its clock (s); None of a header, and of a line that
+    is no record."""
+    if not line.endswith(b"\n") or line.startswith(HEADER):
+        return None
+    with suppress(ValueError, RecursionError):
+        decoded(line)
+        _raw.decode(line)
+        return _time.decode(line).time
+    return None
+
+
 def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         if isinstance(mark, Verdict) or (isinstance(mark, Violation) and mark.what in OF_EVENTS):
@@ -153,11 +165,9 @@ def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
         after = 0
         for line in file:
             place, after = after, after + len(line)
-            if line.endswith(b"\n") and not line.startswith(HEADER):
-                with suppress(msgspec.DecodeError):
-                    decoded(line)
-                    time = _time.decode(line).time
-                    places.append((zero if time is None else time, place))
+            time = time_of(line)
+            if time is not None:
+                places.append((time, place))
         for time, place in sorted(places):
             file.seek(place)
             t = round(time - zero, 6)
