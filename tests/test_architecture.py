@@ -53,7 +53,7 @@ RUNTIME = {
     "verify": {"values", "program", "trace", "config"},
     "experiment": {"ops"},
     "operate": {"values", "config", "net", "vehicle", "ops", "trace"},
-    "cli": {"ops", "net"},
+    "cli": {"ops", "net", "trace"},
 }
 HOST_TOOL = PACKAGE / "operate" / "host_tool"  # becomes a package of its own on robots, so its imports are relative
 MOST_MODULES = 20  # in a folder, without its __init__

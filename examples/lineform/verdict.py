@@ -18,6 +18,7 @@ from typing import Any
 OFF_LINE, OFF_PLACE = 0.30, 0.30  # metres, at the end, at most
 OFF_LINE_AT_START = 1.5  # metres, at least
 SEPARATION = 0.3  # metres, at least
+FORMATS = ("koord-trace/1", "koord-trace/2")
 
 Place = tuple[float, float]
 
@@ -52,8 +53,8 @@ def read(folder: Path) -> Run:
 
 def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
     header = records[0]
-    if header.get("format") != "koord-trace/1":
-        raise ValueError("the trace has no header of format koord-trace/1")
+    if header.get("format") not in FORMATS:
+        raise ValueError(f"the trace has no header of format {' or '.join(FORMATS)}")
     names = [robot["name"] for robot in header["robots"]]
     end = min((r["t"] for r in records if r["kind"] == "end"), default=math.inf)
     time = -math.inf

@@ -18,12 +18,11 @@ from koordgen.build.pipeline import Rejected, check_file
 from koordgen.fleet.file import Fleet
 from koordgen.lang.check.sections.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
+from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.reading import found, opened
 from koordgen.verify.audit.story import Mission, mission
-from koordgen.verify.replay.trace import BadTrace
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
-_FORMAT = "koord-trace/1"
 
 
 def flown(folder: Path) -> Mission:
@@ -91,8 +90,9 @@ def _files(whole: Mission, pid: int) -> Sequence[Path]:
 def _header(whole: Mission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
     return {
         "kind": "header",
-        "format": _FORMAT,
+        "format": FORMAT,
         "app": whole.app,
+        "applications": [whole.app],
         "program_hash": whole.log.program_hash,
         "delta": whole.delta,
         "seed": 0,

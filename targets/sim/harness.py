@@ -31,13 +31,13 @@ from targets.sim.run import faults
 from targets.sim.run.scatter import scattered
 
 if TYPE_CHECKING:
+    from koordgen.runtime.trace.schema import Header
     from targets.sim.follow.guide import Guide
     from targets.sim.follow.plan import Plan
     from targets.sim.judging.watch import Watcher
     from targets.sim.judging.windows import Windows
     from targets.sim.run.progress import Progress
     from targets.sim.run.run import Outcome, Run
-    from targets.sim.trace.schema import Header
     from targets.sim.view.foxglove.stream import Streamed
     from targets.sim.view.web.control import Given
     from targets.sim.view.web.live import Live, Paced
@@ -249,7 +249,7 @@ def _run(
     from targets.sim.judging import summary
     from targets.sim.judging.host_load import HostLoad
     from targets.sim.run.progress import Progress
-    from targets.sim.trace import schema as trace
+    from targets.sim.trace import files as trace
 
     header, view = _header(scenario, plan, options), views[0]
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
@@ -366,13 +366,13 @@ def _steered(
 
 def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
     """The merged trace's, of a run that has a round 1."""
-    from targets.sim.trace.schema import FORMAT, Header, RobotName
+    from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 
     names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
     return Header(
         FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,
         scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
-        scenario.world, scenario.shared, scenario.records, plan.kind if plan else "",
+        scenario.world, scenario.shared, scenario.records, plan.kind if plan else "", (scenario.app,),
     )  # fmt: skip
 
 

@@ -11,7 +11,8 @@ import pytest
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.obstacles import Obstacle
 from koordgen.fleet.world import Wall
-from targets.sim.base.scenario import Lidar, MarkerList, Sim, Wind, World
+from koordgen.runtime.trace.schema import MarkerList, Wind, World
+from targets.sim.base.scenario import Lidar, Sim
 from tests.fleet.test_fleet import GOOD, read
 
 HEAD = GOOD[: GOOD.index("robots:")]

@@ -16,7 +16,7 @@ from koordgen.lang.ir.decl import Program
 from koordgen.operate.basestation import all_targets
 from koordgen.operate.run_folder import flown, write_trace
 from koordgen.runtime.net.network import Conditions
-from koordgen.verify.replay.trace import BadTrace
+from koordgen.runtime.trace.schema import BadTrace
 from tests.verify.replay.kept import Kept
 from tests.verify.replay.runs import Run
 

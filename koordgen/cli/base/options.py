@@ -393,7 +393,7 @@ def export(command: Parser) -> None:
     """Options of `koordgen export`."""
     _trace(command)
     output = command.add_argument_group("output")
-    formats = ("mcap", "csv", "png", "gif", "mp4")
+    formats = ("mcap", "csv", "png", "gif", "mp4", "koord-trace/2")
     output.add_argument("--to", choices=formats, required=True, help="the format to write")
     output.add_argument("-o", "--out", metavar="PATH", help="file or folder to write (default: beside the trace)")
 

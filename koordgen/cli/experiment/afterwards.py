@@ -12,7 +12,7 @@ from koordgen.lang import resources
 def afterwards(options: Namespace) -> int:
     """The harness that left the run knows how."""
     sys.path.insert(0, str(resources.targets().parent))
-    from targets.sim.trace.schema import BadTrace
+    from koordgen.runtime.trace.schema import FORMAT, BadTrace
     from targets.sim.view import commands
     from targets.sim.view.data.failures import CannotMake
 
@@ -21,6 +21,10 @@ def afterwards(options: Namespace) -> int:
             made: object = commands.report(options.trace, options.out)
         elif options.command == "show":
             made = commands.show(options.trace, options.at, options.format)
+        elif options.to == FORMAT:
+            made, old = commands.upgrade(options.trace, options.out)
+            if old == FORMAT:
+                console.say(f"note: {options.trace} is of format {FORMAT} already; this is a copy")
         else:
             made = commands.export(options.trace, options.to, options.out)
     except CannotMake as error:

@@ -14,11 +14,11 @@ from koordgen.cli.verify.prove import hash_of
 from koordgen.lang.check.sections.params import BadParam, Value, as_given, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.step import initial
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.exact import agree, nearest
 from koordgen.verify.follow.plan import CannotFollow, ModelOnly, document, planned
 from koordgen.verify.follow.read import Counterexample, read
 from koordgen.verify.replay.functions import CannotCall, externs
-from koordgen.verify.replay.trace import BadTrace
 from koordgen.verify.replay.values import BadValue, plain, taken
 
 REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")

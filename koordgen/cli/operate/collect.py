@@ -15,7 +15,7 @@ from koordgen.lang import resources
 from koordgen.operate.collect import CannotCollect, Collection, Folder, collect_all
 from koordgen.operate.hosts import HostError
 from koordgen.operate.run_folder import ROBOTS, flown, write_source, write_trace
-from koordgen.verify.replay.trace import BadTrace
+from koordgen.runtime.trace.schema import BadTrace
 
 
 def collect(options: Namespace) -> int:

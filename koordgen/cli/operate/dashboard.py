@@ -19,7 +19,7 @@ from koordgen.operate.estop import PATIENCE, CannotStop, Fleet, find_fleet, find
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
-    from targets.sim.trace.schema import Header
+    from koordgen.runtime.trace.schema import Header
     from targets.sim.view.foxglove.stream import FoxgloveServer
 
 

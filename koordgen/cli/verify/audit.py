@@ -14,6 +14,7 @@ from koordgen.cli.base.terminal import Line, coloured_verdicts
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
 from koordgen.verify.audit.finding import Finding
 from koordgen.verify.audit.judge import Judge
@@ -22,7 +23,6 @@ from koordgen.verify.audit.reading import found, opened
 from koordgen.verify.audit.show import Audit, document, report
 from koordgen.verify.audit.story import Mission, mission
 from koordgen.verify.replay.functions import CannotCall
-from koordgen.verify.replay.trace import BadTrace
 
 PICTURES = (".png", ".svg", ".pdf")
 QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has

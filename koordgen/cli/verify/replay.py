@@ -11,10 +11,11 @@ from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, say
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.semantics.deadline import OutOfTime
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.replay.fleet import replayed
 from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
-from koordgen.verify.replay.trace import BadTrace, Trace, opened
+from koordgen.verify.replay.trace import Trace, opened
 
 MOST_TOLD = 20
 LONGEST = 200  # characters of a value

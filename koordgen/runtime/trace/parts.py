@@ -15,8 +15,9 @@ from typing import IO
 
 import msgspec
 
+from koordgen.runtime.trace.schema import HEADER
+
 PARTS = 8  # a part is full at this fraction of the limit, so that 7/8 of the limit stay readable
-HEADER = b'{"kind":"header"'
 LONGEST_HEADER = 1 << 16  # bytes
 MEGABYTE = 1_000_000
 

@@ -1,28 +1,28 @@
-"""A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
+"""Writer of a robot's trace: JSON lines as `schema` has them, one a round, which simulators and replayers read.
 
-`time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header, phase,
-init, round, view, log, stall, stream, monitor, metrics, checkpoint. What an event saw and did can be told from it
-alone: `replay` does. A disk that is full or gone ends the trace with one warning, never the robot.
+A trace alone holds what an event saw and did: `replay` uses nothing else. A disk that is full or gone ends the trace
+with one warning, never the robot.
 
-A trace with a limit is written in parts (see `trace_parts`). A part begins with all that a reader needs to understand
-it without the older parts, which may have been deleted: header, phases, view and checkpoint.
+A trace with a limit is written in parts (see `parts`). A part begins with all that a reader needs to understand it
+without the older parts, which may have been deleted: header, phases, view and checkpoint.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life, Program
+from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
 if TYPE_CHECKING:  # it is made of what this module has
     from koordgen.runtime.trace.watched import Change
 
-FORMAT = "koord-trace/1"
 STARTING = "starting"  # the phase with which a trace begins
 
 
@@ -53,14 +53,15 @@ class Trace:
         self._warn = warn
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
         self._pid = -1
+        self._application = ""
         self._slots: Collection[str] = ()
         self._told: dict[str, Any] = {}  # of the shared store, as this part has recorded it
         # For the beginning of the next part:
-        self._header: dict[str, Any] = {}
+        self._header: schema.RobotHeader | None = None
         self._part = 0
         self._phase = ""
-        self._phases: dict[str, Mapping[str, Any]] = {}  # the record with which each phase but the first began
-        self._view: Mapping[str, Any] | None = None
+        self._phases: dict[str, schema.Phase] = {}  # the record with which each phase but the first began
+        self._view: schema.View | None = None
         self._life: Life | None = None  # own variables after the last recorded round; None: not known yet
         self._last = -1  # that round; 0: `init`
 
@@ -70,103 +71,91 @@ class Trace:
         return self._file is not None
 
     def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
-        """First of all."""
+        """Write the header, before all else."""
         self._slots = [v.name for v in program.shared if v.kind == "allread"]
-        self._pid = pid
-        self._header = {
-            "kind": "header",
-            "format": FORMAT,
-            "app": program.name,
-            "robot": robot,
-            "pid": pid,
-            "n_sys": n_sys,
-            "delta": delta,
-            "program_hash": program.program_hash,
-        }
+        self._pid, self._application = pid, program.name
+        self._header = schema.RobotHeader(
+            FORMAT, program.name, (program.name,), robot, pid, n_sys, delta, program.program_hash
+        )
         self._write(self._header)
 
     def phase(self, time: float, phase: str, detail: str) -> None:
-        record = {"kind": "phase", "time": time, "phase": phase, "detail": detail}
-        self._tell(record)
+        record = schema.Phase(phase, detail, time, LEFT_OUT, LEFT_OUT)
+        self._tell(record, time)
         if phase != self._phase:
             self._phase = phase
             if phase != STARTING:
                 self._phases[phase] = record
 
     def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
-        """`init` has run: what it saw and wrote, all own variables `after` it."""
+        """Write that `init` has run: what it saw and wrote, all own variables `after` it."""
         self._turn_if_full(time)
         self._told, self._life, self._last = {}, after, 0
-        line = {
-            "kind": "init",
-            "time": time,
-            "sensors": sensors,
-            "locals": after.locals,
-            "shared": effects.shared,
-            "actuators": after.actuators,
-            "stopped": after.stopped,
-        }
-        extra = {"calls": calls, "violated": effects.violated}
-        self._write(line | {key: value for key, value in extra.items() if value})
+        self._write(
+            schema.Init(
+                sensors=sensors,
+                locals=after.locals,
+                shared=effects.shared,
+                actuators=after.actuators,
+                violated=effects.violated or LEFT_OUT,
+                stopped=after.stopped,
+                calls=calls or LEFT_OUT,
+                time=time,
+                t=LEFT_OUT,
+                pid=LEFT_OUT,
+                application=self._application,
+            )
+        )
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
-        """Who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
-        record = {"kind": "view", "time": time, "number": number, "since": since, "members": members}
-        self._tell(record)
+        """Write the view from round `since` on: each robot's incarnation, -1 of one that does not count."""
+        record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
+        self._tell(record, time)
         self._view = record
 
     def log(self, time: float, level: str, message: str) -> None:
-        self._tell({"kind": "log", "time": time, "level": level, "message": message})
+        self._tell(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
 
-    def stall(self, time: float, state: str, why: str, lasted: float) -> None:
-        """A stall begins, goes on or ends (see `stall`); `lasted` is its length in seconds so far."""
-        self._tell({"kind": "stall", "time": time, "state": state, "why": why, "lasted": round(lasted, 3)})
+    def stall(self, time: float, state: Literal["begins", "goes on", "ends"], why: str, lasted: float) -> None:
+        """Write that a stall begins, goes on or ends (see `stall`); `lasted` is its length in seconds so far."""
+        self._tell(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
-        """A line that the program put out; round 0 is `init`. It stands in the same part as its round."""
-        self._write({"kind": "stream", "time": time, "round": round_, "port": port, "text": text})
+        """Write a line of text that the program sent; round 0 is `init`. It stands in the same part as its round."""
+        self._write(schema.Stream(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
-        """How well the robot hears and keeps its rounds (see `metrics`)."""
-        self._tell({"kind": "metrics", "time": time, **snapshot})
+        """Write the quality of the robot's links and rounds (see `metrics`)."""
+        self._tell(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
-        """A property has come to another outcome."""
-        told = {
-            name: getattr(change, name) for name in ("time", "round", "of", "name", "line", "outcome", "age", "why")
-        }
-        self._tell({"kind": "monitor", **told, "action": change.action})
+        """Write that a property has another outcome."""
+        record = schema.Monitor(
+            change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
+            change.time, LEFT_OUT, LEFT_OUT, self._application,
+        )  # fmt: skip
+        self._tell(record, change.time)
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
-        """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed. Of its
-        locals those that the event wrote; `violated` are the lines of its loop invariants that did not hold. `copy` is
-        what has changed in this robot's copy of the shared store since it was told last, of an allread variable by
-        pid."""
+        """Write one round; `clock_bound` is the largest error of fleet time (s), `counters` those that changed. Locals
+        are those that the event wrote. `copy` has the changes of this robot's copy of the shared store since the last
+        record, of an allread variable by pid."""
         self._turn_if_full(record.time)
         fault, effects, restored = record.fault, record.effects, record.restored
-        line = {
-            "kind": "round",
-            "time": record.time,
-            "round": record.round,
-            "event": record.event,
-            "skipped": record.skipped,
-            "fault": {"file": fault.file, "line": fault.line, "reason": fault.reason} if fault else None,
-            "sensors": record.sensors,
-            "shared": effects.shared if effects else {},
-            "actuators": effects.actuators if effects else {},
-            "late": round(record.late, 6),
-            "clock_bound": round(clock_bound, 6),
-        }
-        extra = {
-            "locals": _written(record),
-            "copy": self._changed(record),
-            "stopped": effects is not None and effects.stopped,
-            "restored": restored and {name: getattr(restored, name) for name in Life.__struct_fields__},
-            "counters": counters,
-            "calls": record.calls,
-            "violated": effects.violated if effects else (),
-        }
-        self._write(line | {key: value for key, value in extra.items() if value})
+        shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
+        violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)
+        # By position, in the order of the schema: keywords cost five times as much.
+        line = schema.Round(
+            record.round, record.event, record.skipped,
+            schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
+            round(record.late, 6), record.sensors,
+            _written(record) or LEFT_OUT, shared, actuators, self._changed(record) or LEFT_OUT,
+            record.calls or LEFT_OUT, violated or LEFT_OUT, stopped or LEFT_OUT,
+            _restored(restored) if restored else LEFT_OUT,
+            round(clock_bound, 6), counters or LEFT_OUT,
+            record.time, LEFT_OUT, LEFT_OUT, self._application,
+        )  # fmt: skip
+        self._write(line)
         self._live(record)
 
     def _live(self, record: Record) -> None:
@@ -189,13 +178,14 @@ class Trace:
             return
         self._part += 1
         self._told = {}
-        self._write({**self._header, "part": self._part})
+        if self._header is not None:
+            self._write(msgspec.structs.replace(self._header, part=self._part))
         for record in self._phases.values():
             self._write(record)
         if self._view is not None:
             self._write(self._view)
-        own = {"own": msgspec.structs.asdict(self._life)} if self._life is not None else {}
-        self._write({"kind": "checkpoint", "time": time, "round": self._last, **own})
+        own = _restored(self._life) if self._life is not None else LEFT_OUT
+        self._write(schema.Checkpoint(self._last, own, time, LEFT_OUT, LEFT_OUT, self._application))
         parts.began()
 
     def _changed(self, record: Record) -> dict[str, Any]:
@@ -226,12 +216,12 @@ class Trace:
                 self._file.close()
             self._file = None
 
-    def _tell(self, record: Mapping[str, Any]) -> None:
+    def _tell(self, record: msgspec.Struct, time: float) -> None:
         """Write a record that may stand in the next part as well."""
-        self._turn_if_full(record["time"])
+        self._turn_if_full(time)
         self._write(record)
 
-    def _write(self, record: Mapping[str, Any]) -> None:
+    def _write(self, record: msgspec.Struct) -> None:
         if self._file is None:
             return
         try:
@@ -243,6 +233,10 @@ class Trace:
     def _end(self, error: OSError) -> None:
         self.close()
         self._warn(f"the trace ends here: {error.strerror or error}")
+
+
+def _restored(life: Life) -> schema.Restored:
+    return schema.Restored(life.round, life.locals, life.actuators, life.stopped)
 
 
 def _written(record: Record) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Files of a fleet's traces, format koord-trace/1, as much of them as can be read.
+"""Files of a fleet's traces, as much of them as can be read.
 
 A record that cannot be read is passed over, and stands in its place as one of kind LOST: from there on something about
 a robot is not known. Only a file that is no trace at all is refused.
@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from koordgen.runtime.trace.parts import base_of
-from koordgen.verify.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
-from koordgen.verify.replay.trace import FORMAT, LONGEST, BadTrace, Line, header_of, parts_of
+from koordgen.runtime.trace.schema import FORMAT, HEADER, MOST_ROBOTS, NO_HEADER, OLD_FORMAT, BadTrace, Upgrade
+from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
+from koordgen.verify.replay.trace import LONGEST, Line, header_of, parts_of
 
 LOST = "lost"
 LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")
-HEADER = b'{"kind":"header"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,7 @@ class Log:
     last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
     step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
     lines: list[Line] = field(default_factory=list)
+    upgrade: Upgrade = field(default_factory=Upgrade)
     flaws: list[Flaw] = field(default_factory=list)
 
     @property
@@ -68,7 +69,7 @@ def found(given: Path) -> list[Path]:
             return [merged]
     below = [path for path in sorted(given.rglob("*.jsonl")) if path.is_file() and _header(path) is not None]
     if not below:
-        raise BadTrace(f"{given}: no file *.jsonl in it is a trace of format {FORMAT}")
+        raise BadTrace(f"{given}: no file *.jsonl in it is a trace of format {FORMAT} or {OLD_FORMAT}")
     return below
 
 
@@ -84,7 +85,7 @@ def opened(path: Path) -> Log:
     """All of a file. Raises BadTrace where it is none."""
     header = _header(path)
     if header is None:
-        raise BadTrace(f"{path}: no header of format {FORMAT}")
+        raise BadTrace(f"{path}: {NO_HEADER}")
     try:
         log = _log(path, header)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
@@ -128,6 +129,10 @@ def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 def _take(log: Log, number: int, data: bytes) -> None:
     pid = next(iter(log.names)) if log.own else -1
+    try:
+        data = log.upgrade.line(data)
+    except ValueError as error:
+        raise BadTrace(f"{log.path}:{number}: {error}") from None
     record = _parsed(data)
     if record is None:
         again = data.rfind(HEADER)  # a robot that was killed amid a record, and began anew
@@ -146,9 +151,13 @@ def _take(log: Log, number: int, data: bytes) -> None:
     kind = record.get("kind")
     if kind not in LOOKED_AT:
         return
-    flaw = flaw_of(record)
-    if flaw or (pid < 0 and kind != "header"):
-        _lose(log, number, pid, flaw or f"a broken record of kind {kind}")
+    try:
+        record = sound(record, data)
+    except Unsound as error:
+        _lose(log, number, pid, str(error))
+        return
+    if pid < 0 and kind != "header":
+        _lose(log, number, pid, f"a broken record of kind {kind}")
     elif kind == "round" and record["round"] > log.last.setdefault(pid, record["round"]) + MOST_JUMP:
         _lose(log, number, pid, f"round {record['round']} does not come after round {log.last[pid]}")
     else:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.runtime.program.runner import LEFT
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit.reading import LOST, Log
-from koordgen.verify.replay.trace import BadTrace, Line
+from koordgen.verify.replay.trace import Line
 
 FOREVER = 1 << 60
 # As an agent says it when its rounds begin.

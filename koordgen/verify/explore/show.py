@@ -112,7 +112,7 @@ def _data(found: Violation) -> dict[str, Any]:
 
 
 def trace(found: Violation, program: decl.Program, about: About) -> str:
-    """The run as koord-trace/1."""
+    """Return the run as a trace."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
     culprit = None

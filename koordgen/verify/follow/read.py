@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from koordgen.verify.replay.trace import FORMAT, BadTrace, Trace, records
+from koordgen.runtime.trace.schema import NO_HEADER, BadTrace, format_of
+from koordgen.verify.replay.trace import Trace, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
@@ -68,10 +69,10 @@ class Counterexample(NamedTuple):
 def read(path: Path) -> Counterexample:
     """As much as is there. Raises BadTrace."""
     blank = Trace(path, "", "", (), False, 0)
-    found = records(blank)
-    number, header = next(found, (0, {}))
-    if header.get("kind") != "header" or header.get("format") != FORMAT:
-        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    lines = records(blank)
+    number, header, line = next(lines, (0, {}, b""))
+    if not format_of(line):
+        raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
         raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
     try:
@@ -83,7 +84,7 @@ def read(path: Path) -> Counterexample:
             raise ValueError(f"{n_sys} robots")
     except (KeyError, TypeError, ValueError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
-    steps, ending, cut = _steps(path, found, n_sys)
+    steps, ending, cut = _steps(path, ((number, record) for number, record, _ in lines), n_sys)
     cut = blank.cut or cut
     if not steps:
         raise BadTrace(f"{path}: there is no whole step in it")

@@ -1,4 +1,4 @@
-"""Traces of format koord-trace/1 as the replayer reads them: a robot's own, and the merged one of a run.
+"""Traces as the replayer reads them: a robot's own, and the merged one of a run.
 
 A robot's own trace may have several parts (koordgen/runtime/trace/parts.py): they are read as one trace.
 """
@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.runtime.trace.parts import base_of, numbered
-from koordgen.verify.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
+from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
+from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
-FORMAT = "koord-trace/1"
 LONGEST = 8 << 20  # bytes of a header
 KINDS = ("init", "round", "stream", "view", "checkpoint")
-
-
-class BadTrace(Exception):
-    """A file that is no trace, or is broken amid it; the message names the file and the line."""
 
 
 class Line(NamedTuple):
@@ -58,14 +55,16 @@ class Trace:
     def lines(self) -> Iterator[Line]:
         """The records that a replay needs, in their order. Raises BadTrace."""
         last: dict[int, int] = {}  # the round that each robot told of last
-        for number, record in records(self):
+        for number, record, data in records(self):
             if record.get("kind") not in KINDS:
                 continue
             pid = self.pid if self.own else record.get("pid")
             if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
                 raise BadTrace(f"{self.place(number)}: no robot {pid!r}")
-            if flaw := flaw_of(record):
-                raise BadTrace(f"{self.place(number)}: {flaw}")
+            try:
+                record = sound(record, data)
+            except Unsound as flaw:
+                raise BadTrace(f"{self.place(number)}: {flaw}") from None
             if record["kind"] == "checkpoint" and not last:
                 self.since = self.since or record["round"] + 1
             if record["kind"] == "round" and record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
@@ -79,9 +78,9 @@ def opened(path: Path) -> Trace:
     """The trace at `path`, with the parts before it. Raises BadTrace."""
     *older, path = parts_of(path)
     blank = Trace(path, "", "", (), False, 0)
-    number, header = next(records(blank), (0, {}))
-    if header.get("kind") != "header" or header.get("format") != FORMAT:
-        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    number, header, line = next(records(blank), (0, {}, b""))
+    if not format_of(line):
+        raise BadTrace(f"{path}: {NO_HEADER}")
     try:
         app, program_hash = str(header["app"]), str(header.get("program_hash", ""))
         if "counterexample" in header:
@@ -125,14 +124,19 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def header_of(path: Path) -> dict[str, Any] | None:
-    """Return the header of a trace; None where the file has none. Raises OSError."""
+    """Return the header of a trace in the present format; None where the file has none. Raises OSError, and BadTrace if
+    this version cannot read the format."""
     with path.open("rb") as file:
         line = file.readline(LONGEST)
     try:
-        record = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) and record.get("format") == FORMAT and not flaw_of(record) else None
+        if not format_of(line):
+            return None
+        line = Upgrade().line(line)
+    except ValueError as error:
+        raise BadTrace(f"{path}: {error}") from None
+    with suppress(ValueError, RecursionError):
+        return sound(json.loads(line), line)
+    return None
 
 
 def _is_unwritten(path: Path) -> bool:
@@ -143,15 +147,20 @@ def _is_unwritten(path: Path) -> bool:
         return not file.readline(LONGEST).endswith(b"\n")
 
 
-def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Every record with the number of its line. Raises BadTrace."""
+def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any], bytes]]:
+    """Every record with the number of its line, and the line, in the present format. Raises BadTrace."""
     trace.begins, number = [], 0
     for path in (*trace.older, trace.path):
         trace.begins.append((number, path))
+        upgrade = Upgrade()
         try:
             with path.open("rb") as file:
                 for line in file:
                     number += 1
+                    try:
+                        line = upgrade.line(line)
+                    except ValueError as error:
+                        raise BadTrace(f"{trace.place(number)}: {error}") from None
                     try:
                         record = json.loads(line)
                     except (ValueError, RecursionError):
@@ -161,6 +170,6 @@ def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
                         break
                     if not isinstance(record, dict):
                         raise BadTrace(f"{trace.place(number)}: no record")
-                    yield number, record
+                    yield number, record, line
         except OSError as error:
             raise BadTrace(f"{path}: {error.strerror or error}") from None

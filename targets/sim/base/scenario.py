@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from koordgen.runtime.trace.schema import Box, Shared, World
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.base.bodies import Vector
@@ -34,13 +35,6 @@ class Origin(msgspec.Struct, frozen=True):
     latitude: float
     longitude: float
     altitude: float
-
-
-class Box(msgspec.Struct, frozen=True):
-    """Metres, local ENU."""
-
-    lo: Vector
-    hi: Vector
 
 
 MOST_OBSTACLES = 1000  # as the fleet file allows
@@ -71,41 +65,6 @@ class Sim(msgspec.Struct, frozen=True):
     autopilot: Literal["simulated", "external"] = "simulated"
 
 
-class Wind(msgspec.Struct, frozen=True):
-    """Of the air: mean velocity (m/s, ENU), standard deviation of the gusts in each direction (m/s), and the time (s)
-    in which these change."""
-
-    mean: Vector = (0.0, 0.0, 0.0)
-    gust: float = 0.0
-    correlation: float = 1.0
-
-
-class Marker(msgspec.Struct, frozen=True):
-    """A place of interest (m, ENU), reached within `radius`."""
-
-    name: str
-    position: Vector
-    radius: float = 0.3
-
-
-class MarkerList(msgspec.Struct, frozen=True):
-    """A shared list whose elements at the mission's start are markers, at their field `position` ("": Points)."""
-
-    variable: str
-    position: str = ""
-    radius: float = 0.3
-
-
-class World(msgspec.Struct, frozen=True):
-    """What the world is like. `floor_friction` multiplies what bodies' own friction is on a usual floor."""
-
-    arena: Box | None = None
-    floor_friction: float = 1.0
-    wind: Wind = Wind()
-    markers: tuple[Marker, ...] = ()
-    marker_list: MarkerList | None = None
-
-
 class Robot(msgspec.Struct, frozen=True):
     """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
     ones, the settings that body has on the robot, and how it is simulated."""
@@ -125,14 +84,6 @@ class Robot(msgspec.Struct, frozen=True):
     def external(self) -> bool:
         """Whether a real autopilot flies it."""
         return self.sim.autopilot == "external"
-
-
-class Shared(msgspec.Struct, frozen=True):
-    """A shared variable: `allread`, one value of `type` a robot, or `allwrite`, one for all."""
-
-    name: str
-    kind: str
-    type: str
 
 
 class Scenario(msgspec.Struct, frozen=True):

@@ -15,8 +15,9 @@ from typing import Any, Literal, get_args
 import msgspec
 
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.trace.schema import Wind
 from targets.sim.base.bodies import Vector
-from targets.sim.base.scenario import MOST_OBSTACLES, Wind
+from targets.sim.base.scenario import MOST_OBSTACLES
 from targets.sim.base.upset import Positioning
 
 MOST_EVENTS = 1000

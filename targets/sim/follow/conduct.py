@@ -10,13 +10,14 @@ from typing import IO, Any, ClassVar
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.program.property import Properties
+from koordgen.runtime.trace.schema import HEADER
 from koordgen.runtime.vehicle.drivers import Drivers
 from koordgen.runtime.vehicle.platform import Platform
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.base.upset import Upset
 from targets.sim.follow.guide import FollowedBody, Guide
-from targets.sim.lockstep.resident import HEADER, Resident, Shared, Told
+from targets.sim.lockstep.resident import Resident, Shared, Told
 from targets.sim.lockstep.run import Lockstep
 from targets.sim.lockstep.shares import Shares
 from targets.sim.run.stage import Actor, Stage, Watch

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.program.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
+from koordgen.runtime.trace.schema import Cause, Violation
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
@@ -22,7 +23,6 @@ from targets.sim.follow.plan import Round as Planned
 from targets.sim.physics.world import STEP
 from targets.sim.run.crew import Agent
 from targets.sim.run.run import Outcome, Run
-from targets.sim.trace.schema import Cause, Violation
 
 IDLE = "no event enabled"
 EARLY = 0.01  # of a round: by how much a robot's clock may be ahead of where its round begins

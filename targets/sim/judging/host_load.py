@@ -18,9 +18,9 @@ import msgspec
 
 from koordgen.runtime.agent.rounds import PUBLISH
 from koordgen.runtime.program.runner import LATE
+from koordgen.runtime.trace.schema import Mark, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.crew import Agent
-from targets.sim.trace.schema import Mark, Record, Round, Violation, fault_text
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -112,15 +112,15 @@ class HostLoad:
             if process is not None and counter is not None:
                 self._found.setdefault(name, _Process()).sample(now, process, counter)
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         name = agent.robot.name
         for record in records:
             if not isinstance(record, Round) or record.fault is None:
                 continue
-            if record.fault.get("reason") != LATE:
+            if record.fault.reason != LATE:
                 if name in self._late and name not in self._marked:  # the run reports only the first fault of a robot
                     self._marked.add(name)
-                    self._run.mark(Violation(record.time, "fault", (name,), fault_text(record.fault)))
+                    self._run.mark(Violation(record.time, "fault", (name,), str(record.fault)))
             elif why := self._why_late(name, record):
                 self._late.setdefault(name, why)
             else:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from koordgen.runtime.monitor.monitor import told
 from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
-from targets.sim.trace.schema import Found, Verdict, Violation
+from koordgen.runtime.trace.schema import Found, Verdict, Violation
 
 Of = Literal["invariant", "initially", "assume"]
 

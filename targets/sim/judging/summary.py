@@ -11,12 +11,13 @@ from typing import Literal
 import msgspec
 
 from koordgen.runtime.program.runner import name_of
+from koordgen.runtime.trace.schema import Cause, End, Header, Log, Monitor, Pose, Round, Stall, TraceRecord, Violation
+from koordgen.runtime.trace.schema import Verdict as Found
 from targets.sim.base.bodies import Vector
 from targets.sim.run.run import Outcome
+from targets.sim.trace.files import was_late
 from targets.sim.trace.noticed import Monitored, Noticed
 from targets.sim.trace.noticed import as_text as noticed_text
-from targets.sim.trace.schema import Cause, End, Header, Log, Monitor, Pose, Record, Round, Stall, Violation, fault_text
-from targets.sim.trace.schema import Verdict as Found
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
@@ -104,7 +105,7 @@ class Summary(msgspec.Struct):
     reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
-def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Summary:
+def summarise(header: Header, records: Iterable[TraceRecord], outcome: Outcome) -> Summary:
     """Read a merged trace through once."""
     tallies = {
         robot.pid: _Tally(RobotSummary(robot.name, robot.pid, robot.target), header.delta) for robot in header.robots
@@ -233,10 +234,10 @@ class _Tally:
         own.rounds += 1
         slept = max(0, record.round - self._round - 1) if self._round else 0
         self._round = record.round
-        own.late_rounds += slept + record.was_late(self._delta)
+        own.late_rounds += slept + was_late(record, self._delta)
         if record.fault is not None:
             own.faults += 1
-            own.first_fault = own.first_fault or fault_text(record.fault)
+            own.first_fault = own.first_fault or str(record.fault)
         elif record.skipped is not None:
             reason = name_of(record.skipped)
             own.skips[reason] = own.skips.get(reason, 0) + 1

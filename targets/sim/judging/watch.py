@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
+from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdict, View, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging.batch import Batch
@@ -32,7 +33,6 @@ from targets.sim.judging.judge import Of, Watched, all_of
 from targets.sim.judging.windows import Came, Windows
 from targets.sim.run.crew import Agent
 from targets.sim.run.run import Run
-from targets.sim.trace.schema import Init, Phase, Record, Round, Verdict, View, Violation
 from targets.sim.trace.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
@@ -106,7 +106,7 @@ class Watcher:
                 self._moments.popleft()
         self.seconds += time.perf_counter() - began
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         began = time.perf_counter()
         pid = agent.robot.pid
         for record in records:

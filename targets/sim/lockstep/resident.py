@@ -25,6 +25,7 @@ from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import Limit
+from koordgen.runtime.trace.schema import HEADER, TraceRecord, decoded
 from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
@@ -36,7 +37,6 @@ from targets.sim.lockstep.shares import Shares
 from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
 from targets.sim.run.crew import Agent
 from targets.sim.run.stage import Actor
-from targets.sim.trace.schema import Record, decoded
 
 # What a robot in lockstep finds again after a crash: as much as the file of a real one holds (runtime/agent/store.py).
 
@@ -69,7 +69,6 @@ class MemoryStore:
 
 
 KILLED = -9
-HEADER = b'{"kind":"header"'
 
 
 class Told:
@@ -135,7 +134,7 @@ class Resident(Agent):
         self._store = MemoryStore()
         self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
         self._out: Told | None = None  # the trace's file
-        self._seen: list[Record] = []  # since `look` was asked last
+        self._seen: list[TraceRecord] = []  # since `look` was asked last
         self._own = Own(shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log)
         self._inside: AbstractContextManager[None] = self._own
         self._surroundings: list[Surroundings] = []  # of each start: what ran beside a crashed agent runs on
@@ -322,7 +321,7 @@ class Resident(Agent):
     def thaw(self) -> None:
         self._thawed = min(self._thawed, self._shared.clock.now())
 
-    def look(self) -> list[Record]:
+    def look(self) -> list[TraceRecord]:
         self._read()
         records, self._seen = self._seen, []
         return records

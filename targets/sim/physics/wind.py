@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from targets.sim.base.scenario import Wind
+from koordgen.runtime.trace.schema import Wind
 from targets.sim.physics.rigid import Array
 
 

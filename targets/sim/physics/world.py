@@ -14,9 +14,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from koordgen.runtime.trace.schema import Wind
 from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.base.scenario import AUTO, Wind
+from targets.sim.base.scenario import AUTO
 from targets.sim.physics.contacts import Solid, Touched
 from targets.sim.physics.engines import make
 from targets.sim.physics.near import LOOK_EVERY, Near

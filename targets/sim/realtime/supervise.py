@@ -15,9 +15,10 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.scenario import Robot
 from targets.sim.run.crew import Agent
-from targets.sim.trace.schema import Record, Tail
+from targets.sim.trace.files import Tail
 
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
 _BEHIND = 5  # the niceness of agents: the world, on whose steps all of them wait, goes first
@@ -172,7 +173,7 @@ class Process(Agent):
                     whole.write(b"\n" + life.read_bytes())  # a life that was cut short ends within a line
                 life.unlink()
 
-    def look(self) -> list[Record]:
+    def look(self) -> list[TraceRecord]:
         records = self._tail.read()
         for record in records:
             self._take(record)

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from koordgen.runtime.trace.schema import Log, Phase, Round, TraceRecord
 from koordgen.runtime.trace.writer import Observe
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
-from targets.sim.trace.schema import Log, Phase, Record, Round, fault_text
 
 if TYPE_CHECKING:
     from targets.sim.run.stage import Stage
@@ -95,7 +95,7 @@ class Agent(ABC):
         """What a status other than a good one says, in words; None: it was a good one."""
 
     @abstractmethod
-    def look(self) -> list[Record]:
+    def look(self) -> list[TraceRecord]:
         """Take what it traced since the last look."""
 
     def note(self, line: str) -> None:
@@ -116,7 +116,7 @@ class Agent(ABC):
             return "ended by itself before round 1"
         return self._failed(status)
 
-    def _take(self, record: Record) -> None:
+    def _take(self, record: TraceRecord) -> None:
         match record:
             case Phase():
                 self.phase = record
@@ -152,7 +152,7 @@ class Agent(ABC):
         return [line for line in text.splitlines() if line.strip()][-count:]
 
     def fault_text(self) -> str:
-        return fault_text(self.first_fault.fault) if self.first_fault else ""
+        return str(self.first_fault.fault) if self.first_fault else ""
 
 
 Step = Callable[[float], None]  # one step of the world at a time of the run's clock

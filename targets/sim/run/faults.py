@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.trace.schema import Cause, Moved, TraceRecord
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.medium import medium, parted
 from targets.sim.base.scenario import BadScenario, Robot
@@ -20,7 +21,6 @@ from targets.sim.base.schedule import CONDITIONS, LONGER, Event, Mistake, Schedu
 from targets.sim.base.upset import WELL
 from targets.sim.run.crew import Agent
 from targets.sim.sensing.station import fed
-from targets.sim.trace.schema import Cause, Moved, Record
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -168,7 +168,7 @@ class Faults:
                     return f"the link between {names} is {'cut already' if is_cut else 'not cut'}"
         return ""
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         """See Companion: nothing that agents say changes the schedule."""
 
     def end(self, at: float) -> None:

@@ -12,13 +12,14 @@ from typing import Protocol
 
 import msgspec
 
+from koordgen.runtime.trace.schema import End, Mark, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.run.crew import Agent, Conduct
 from targets.sim.run.progress import Progress
 from targets.sim.run.stage import Closest
-from targets.sim.trace.schema import End, Mark, Poses, Record, Violation
+from targets.sim.trace.files import Poses
 
 
 class Companion(Protocol):
@@ -34,7 +35,7 @@ class Companion(Protocol):
         round 1 has not been heard of. What is changed here counts from the next step on."""
         ...
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         """Every 0.05 s, for an agent that has traced something: its records in their order."""
         ...
 

@@ -1,6 +1,6 @@
-"""Trace of a run: its records, and what they say.
+"""Traces of runs: their files, and the state that follows from their records.
 
-Owns: the schema, merging of robots' traces, the true state round by round, beliefs.
-Offers: `schema`, `collected`, `truth`, `beliefs`.
+Owns: files of traces, merging of robots' traces, the true state round by round, beliefs.
+Offers: `files`, `collected`, `truth`, `beliefs`.
 Must not import: runs, judging, view.
 """

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from targets.sim.trace.schema import Header, Init, Phase, Pose, Record, Round, Values, fault_text
+from koordgen.runtime.trace.schema import Header, Init, OfRobot, Phase, Pose, Round, TraceRecord, Values
 
 IDLE = "no event enabled"  # reason for which a robot with a current copy of the store skipped a round
 Of = Literal["sensor", "local", "actuator", "shared"]
@@ -51,9 +51,9 @@ class Beliefs:
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self.robots = {robot.pid: Belief() for robot in header.robots}
 
-    def take(self, record: Record) -> list[Change]:
+    def take(self, record: TraceRecord) -> list[Change]:
         """Take in one record; return what it changed."""
-        belief = self.robots.get(getattr(record, "pid", -1))
+        belief = self.robots.get(record.pid) if isinstance(record, OfRobot) else None
         if belief is None:
             return []
         match record:
@@ -114,5 +114,5 @@ def _set(belief: Belief, change: Change) -> bool:
 
 def _did(record: Round) -> str:
     if record.fault is not None:
-        return f"fault: {fault_text(record.fault)}"
+        return f"fault: {record.fault!s}"
     return f"skipped: {record.skipped}" if record.skipped is not None else record.event or ""

@@ -8,17 +8,31 @@ Nobody saw the truth: poses are those that the robots measured.
 from __future__ import annotations
 
 import heapq
-import json
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
-from targets.sim.trace.schema import End, Header, Round, decoded
+from koordgen.runtime.trace.schema import (
+    LEFT_OUT,
+    End,
+    Header,
+    Init,
+    Pose,
+    Round,
+    Values,
+    Vector,
+    decoded,
+    encoded,
+    upgraded,
+)
+from targets.sim.trace.files import at, time_of
 
-_encoder = msgspec.json.Encoder()
+_place_and_yaw = msgspec.json.Decoder(tuple[Vector, float])
+_position = msgspec.json.Decoder(Vector)
 _AGAIN = (b'{"kind":"phase"', b'{"kind":"view"')  # a later part of a trace repeats these
 
 
@@ -56,15 +70,15 @@ def merge(path: Path, header: Mapping[str, Any], traces: Sequence[Sequence[Path]
     first, all of one mission; `end` is the mission's end (s since round 1). Lines that are no records are left out.
     Raises OSError."""
     head = msgspec.convert(header, Header)
-    streams = [_records(files, pid, head.delta) for pid, files in enumerate(traces)]
+    streams = [_records(files, pid, head.delta, head.app) for pid, files in enumerate(traces)]
     with path.open("wb") as out:
-        out.write(_encoder.encode(head) + b"\n")
-        ended = iter([(end, _encoder.encode(End(end, "collected")))])
+        out.write(encoded(head) + b"\n")
+        ended = iter([(end, encoded(End(end, "collected")))])
         for _, line in heapq.merge(*streams, ended, key=lambda pair: pair[0]):
             out.write(line + b"\n")
 
 
-def _records(files: Sequence[Path], pid: int, delta: float) -> Iterator[tuple[float, bytes]]:
+def _records(files: Sequence[Path], pid: int, delta: float, application: str) -> Iterator[tuple[float, bytes]]:
     """One robot's records by fleet time, those of one time as the robot wrote them; before each round the pose that
     the robot measured at its start."""
     places, clocks = _looked_through(files, delta)
@@ -73,12 +87,11 @@ def _records(files: Sequence[Path], pid: int, delta: float) -> Iterator[tuple[fl
     try:
         for t, place in ordered:
             opened[place.file].seek(place.offset)
-            record = json.loads(opened[place.file].readline())
-            kind = record.pop("kind")
-            record.pop("time")
-            if kind in ("init", "round") and (pose := _pose(record["sensors"])) is not None:
-                yield t, _encoder.encode({"kind": "pose", "t": t, "pid": pid, "position": pose[0], "yaw": pose[1]})
-            yield t, _encoder.encode({"kind": kind, "t": t, "pid": pid, **record})
+            line = upgraded(opened[place.file].readline(), application)
+            record = decoded(line)
+            if isinstance(record, Init | Round) and (pose := _pose(record.sensors)) is not None:
+                yield t, encoded(Pose(pid, *pose, LEFT_OUT, t))
+            yield t, at(line, t, pid)
     finally:
         for file in opened:
             file.close()
@@ -94,7 +107,7 @@ def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], 
         with path.open("rb") as file:
             for line in file:
                 offset, after = after, after + len(line)
-                time = _time(line)
+                time = time_of(line)
                 if time is None or (line.startswith(_AGAIN) and line in seen):
                     continue
                 if line.startswith(_AGAIN):
@@ -107,22 +120,13 @@ def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], 
     return places, clocks
 
 
-def _time(line: bytes) -> float | None:
-    """Return when a record was written on the robot's clock; None of a header, and of a line that is no record."""
-    try:
-        decoded(line)
-        record = json.loads(line)
-    except (msgspec.DecodeError, ValueError, RecursionError):
-        return None
-    time = record.get("time") if isinstance(record, dict) and record.get("kind") != "header" else None
-    return float(time) if isinstance(time, int | float) and line.endswith(b"\n") else None
-
-
-def _pose(sensors: dict[str, Any]) -> tuple[list[float], float] | None:
+def _pose(sensors: Values) -> tuple[Vector, float] | None:
     """Return position (m, local ENU) and yaw (rad) by the sensors of a motion module: `pose`, else `position`."""
-    for port, value in sensors.items():
-        if port.endswith(".pose"):
-            return value[0], value[1]
-    found = (value for port, value in sensors.items() if port.endswith(".position"))
-    position = next(found, None)
-    return None if position is None else (position, 0.0)
+    with suppress(msgspec.ValidationError):  # null where it was not finite
+        for port, value in sensors.items():
+            if port.endswith(".pose"):
+                return _place_and_yaw.decode(value)
+        for port, value in sensors.items():
+            if port.endswith(".position"):
+                return _position.decode(value), 0.0
+    return None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from targets.sim.trace.schema import Monitor, Verdict
+from koordgen.runtime.trace.schema import Monitor, Verdict
 
 MOST = 200  # changes that pages show
 OF_ONE = 6  # of one property and robot, where nothing is done about it: an exact box is left again and again

@@ -15,8 +15,8 @@ import msgspec
 
 from koordgen.runtime.program.program import Calls, Port, Program, Variable
 from koordgen.runtime.program.property import UNKNOWN
+from koordgen.runtime.trace.schema import Init, Round, Values
 from koordgen.runtime.values.points import Grid, Point
-from targets.sim.trace.schema import Init, Round, Values
 
 # What a planner is asked with: a goal, and obstacles as cells.
 _ASKED: tuple[Any, ...] = (msgspec.json.Decoder(Point), msgspec.json.Decoder(tuple[Grid, ...]))

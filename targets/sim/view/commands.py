@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from targets.sim.base import folder
 
 if TYPE_CHECKING:
-    from targets.sim.trace.schema import Header, Record
+    from koordgen.runtime.trace.schema import Header, TraceRecord
 
 TRACE = "trace.jsonl"
 FORMATS = ("mcap", "csv", "png", "gif", "mp4")
@@ -32,7 +32,7 @@ def report(given: str, out: str | None) -> Path:
 def export(given: str, to: str, out: str | None) -> Path:
     """Write a run's folder or merged trace as another format, one of FORMATS: tables and pictures into a folder, all
     else into a file; beside the trace unless `out` says where. Raises BadTrace, CannotMake, OSError."""
-    from targets.sim.trace.schema import read
+    from targets.sim.trace.files import read
 
     trace = _found(given)
     path = Path(out) if out else trace.with_name({"csv": "csv", "png": "plots"}.get(to, f"{trace.stem}.{to}"))
@@ -45,7 +45,7 @@ def export(given: str, to: str, out: str | None) -> Path:
 def show(given: str, at: float | None, form: str) -> str:
     """Return what each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`;
     without a time at the first violation, else at the mission's end. Raises BadTrace."""
-    from targets.sim.trace.schema import read
+    from targets.sim.trace.files import read
     from targets.sim.view.data import show
 
     header, records = read(_found(given))
@@ -53,7 +53,20 @@ def show(given: str, at: float | None, form: str) -> str:
     return (show.as_json if form == "json" else show.as_text)(header, time, beliefs)
 
 
-def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> None:
+def upgrade(given: str, out: str | None) -> tuple[Path, str]:
+    """Write any trace, of a run, a robot or a counterexample, in the present format; beside the trace unless `out` says
+    where. Return the new file, and the format that the trace had. Raises BadTrace, OSError."""
+    from koordgen.runtime.trace.schema import FORMAT
+    from targets.sim.trace.files import upgrade
+
+    trace = _found(given)
+    path = Path(out) if out else trace.with_name(f"{trace.stem}.{FORMAT.replace('/', '-')}")
+    with whole(path) as made:
+        old = upgrade(trace, made)
+    return path, old
+
+
+def _write(to: str, path: Path, header: Header, records: Iterator[TraceRecord]) -> None:
     match to:
         case "csv":
             from targets.sim.view.data import tables

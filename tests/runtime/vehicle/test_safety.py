@@ -212,8 +212,9 @@ def test_the_trace_is_what_its_readers_rely_on() -> None:
     lines = [json.loads(line) for line in robot.file.getvalue().splitlines()]
     assert lines[0] == {
         "kind": "header",
-        "format": "koord-trace/1",
+        "format": "koord-trace/2",
         "app": "lineform",
+        "applications": ["lineform"],
         "robot": "bert",
         "pid": 1,
         "n_sys": 5,
@@ -225,7 +226,7 @@ def test_the_trace_is_what_its_readers_rely_on() -> None:
     assert [r["round"] for r in rounds] == [1, 2, 3, 4]
     assert set(rounds[0]) - {"counters"} == {
         *("kind", "time", "round", "event", "skipped", "fault", "sensors", "shared", "actuators", "late"),
-        *("clock_bound", "locals", "copy"),
+        *("clock_bound", "locals", "copy", "application"),
     }
     assert rounds[0]["event"] == "TargetUpdate" and rounds[0]["shared"]["x"] == [-3.0, 2.5, 0.0]
     assert all(b["time"] - a["time"] == pytest.approx(0.1, abs=0.02) for a, b in pairwise(rounds))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen.runtime.net.network import Conditions
-from targets.sim.base.scenario import Wind
+from koordgen.runtime.trace.schema import Wind
 from targets.sim.base.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
 from targets.sim.base.upset import Positioning
 

@@ -13,9 +13,9 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.lang.ir.decl import Program
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.plan import CannotFollow, planned
 from koordgen.verify.follow.read import read
-from koordgen.verify.replay.trace import BadTrace
 from tests.sim.follow.following import fleet, follow
 from tests.sim.follow.test_follow import GRID, MOVED, found
 from tests.verify.explore.test_search import LOST

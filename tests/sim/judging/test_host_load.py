@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.program.runner import LATE
+from koordgen.runtime.trace.schema import End, EventFault, Mark, Round, Violation
 from targets.sim import harness
 from targets.sim.judging import host_load
 from targets.sim.judging.host_load import SIMULATOR, HostLoad, waited
-from targets.sim.trace.schema import End, Mark, Round, Violation
 from tests.sim.run.fake_fleet import bundle, enlist
 
 DELTA, ZERO = 0.1, 50.0
@@ -52,7 +52,7 @@ class Host:
         return self.time
 
     def hears(self, reason: str, at: float, robot: int = 0) -> None:
-        fault = {"file": "a.koord", "line": 0 if reason == LATE else 9, "reason": reason}
+        fault = EventFault("a.koord", 0 if reason == LATE else 9, reason)
         self.load.heard(self.agents[robot], [Round(3, fault=fault, time=at, late=0.0)])  # type: ignore[arg-type]
 
     def why(self, what: str, at: float, *robots: str, detail: str = "", line: str = "") -> str:

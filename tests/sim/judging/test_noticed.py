@@ -11,9 +11,9 @@ import pytest
 from msgspec.structs import replace
 
 from koordgen.cli import main
+from koordgen.runtime.trace.schema import Monitor, Verdict, Violation
 from targets.sim.judging.summary import told as in_words
 from targets.sim.trace.noticed import MOST, OF_ONE, Monitored, Notable, Noticed, as_text, said
-from targets.sim.trace.schema import Monitor, Verdict, Violation
 from tests.sim.lockstep.lockstep import digest, ran, summary
 
 NAMES = {0: "alice", 1: "bert", 2: "cleo"}

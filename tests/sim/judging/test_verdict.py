@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from targets.sim.judging import summary
-from targets.sim.trace import schema as trace
+from targets.sim.trace import files as trace
 from tests.sim.view.canned import Place, header, moving, outcome, write
 
 JUDGE = Path(__file__).parents[3] / "examples" / "lineform" / "verdict.py"

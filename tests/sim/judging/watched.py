@@ -11,12 +11,12 @@ from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES, Fleet
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.trace import schema
+from koordgen.runtime.trace.schema import Mark, Phase, Round, TraceRecord, Verdict, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging import watch
 from targets.sim.judging.windows import Windows
 from targets.sim.run.run import Companion
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import Mark, Phase, Record, Round, Verdict, Violation
 from tests.sim.run.fake_fleet import beside
 
 STEP = 1 / 240
@@ -128,12 +128,12 @@ class Watched:
             data = self.files[agent.robot.pid].getvalue()
             end = data.rfind(b"\n") + 1
             lines, agent.read = data[agent.read : end].splitlines(), end
-            records = [r for line in lines if b'"header"' not in line[:40] and (r := trace.decoded(line)) is not None]
+            records = [r for line in lines if b'"header"' not in line[:40] and (r := schema.decoded(line)) is not None]
             self._take(agent, records)
             for companion in self.companions:
                 companion.heard(agent, records)  # type: ignore[arg-type]
 
-    def _take(self, agent: Agent, records: list[Record]) -> None:
+    def _take(self, agent: Agent, records: list[TraceRecord]) -> None:
         for record in records:
             if isinstance(record, Round) and self.run_.zero is None:
                 self.run_.zero = record.time - record.late - (record.round - 1) * self.fleet.delta

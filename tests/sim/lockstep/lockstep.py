@@ -13,13 +13,13 @@ from typing import Any
 
 from koordgen.cli import main
 from koordgen.runtime.native.loader import cache_folder
+from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import load
 from targets.sim.lockstep.run import Lockstep
 from targets.sim.run.crew import Agent
 from targets.sim.run.progress import Progress
 from targets.sim.run.run import Outcome, Run
-from targets.sim.trace.schema import Record
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -83,7 +83,7 @@ class Plan:
     def agent(self, robot: str) -> Agent:
         return next(agent for agent in self.run.conduct.agents if agent.robot.name == robot)
 
-    def heard(self, agent: Agent, records: list[Record]) -> None: ...
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None: ...
 
     def end(self, at: float) -> None: ...
 

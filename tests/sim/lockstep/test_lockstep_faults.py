@@ -17,7 +17,7 @@ import pytest
 
 from targets.sim import harness
 from targets.sim.run import run
-from targets.sim.trace import schema as trace
+from targets.sim.trace import files as trace
 from tests.sim.lockstep.lockstep import Plan, built, played, summary
 from tests.sim.run.fake_fleet import wait_for_a_round
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from koordgen.runtime.trace.schema import Wind
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.base.scenario import Wind
 from targets.sim.physics import quadrotor
 from targets.sim.physics.car import SimulatedCar
 from targets.sim.physics.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCar, SimpleQuadrotor

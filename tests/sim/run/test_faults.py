@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.trace.schema import Cause, Moved, Wind
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.medium import Medium
-from targets.sim.base.scenario import BadScenario, Wind
+from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Schedule, read
 from targets.sim.base.upset import WELL, Upset
 from targets.sim.run.faults import Faults, check_obstacles, check_times, load, with_network
-from targets.sim.trace.schema import Cause, Moved
 
 ROBOTS = ("ann", "bob", "cem")
 LAUNCH, ZERO = 100.0, 103.0  # of the run's clock

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from targets.sim.trace.schema import Cause, Round
+from koordgen.runtime.trace.schema import Cause, Round
 from tests.sim.run.fake_fleet import bundle, enlist
 from tests.sim.run.test_harness import no_process_left, records, sim, summary
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime.trace.schema import Phase, Pose, Round, TraceRecord, Violation
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from targets.sim import harness
@@ -21,8 +22,8 @@ from targets.sim.base import folder
 from targets.sim.base.scenario import load
 from targets.sim.run import run
 from targets.sim.run.stage import Stage
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import Phase, Pose, Record, Round, Violation, read
+from targets.sim.trace import files as trace
+from targets.sim.trace.files import read
 from tests.sim.run.fake_fleet import Telling, bundle, enlist, wait_for_a_round
 
 REPOSITORY = Path(__file__).parents[3]
@@ -42,7 +43,7 @@ def summary(out: Path) -> Any:
     return json.loads((out / "summary.json").read_text())
 
 
-def records(out: Path) -> list[Record]:
+def records(out: Path) -> list[TraceRecord]:
     return list(read(out / "trace.jsonl")[1])
 
 

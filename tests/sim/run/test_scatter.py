@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from targets.sim.base.scenario import BadScenario, Box, Origin, Robot, Scenario, Start
+from koordgen.runtime.trace.schema import Box
+from targets.sim.base.scenario import BadScenario, Origin, Robot, Scenario, Start
 from targets.sim.run.scatter import scattered
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from koordgen.runtime.config.settings import Box, Origin, Peer, Settings
+from koordgen.runtime.trace import schema
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point, Scan
 from koordgen.runtime.vehicle.scans import Scans
@@ -167,7 +168,7 @@ def room() -> Scenario:
     settings = {"scans": "", "drive": "", "position": ""}
     start = Start((-1.5, 0.2, 0.0), 0.4)
     robot = Robot("alice", 0, "car", "agents/alice", "car", "drive", start, settings)
-    fence = scenario.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
+    fence = schema.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
     walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
     place = scenario.Origin(47.0, 8.0, 400.0)
     return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, harness={"position_noise": 0.003})

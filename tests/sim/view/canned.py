@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.trace.schema import FORMAT, End, Header, Mark, RobotName
 from targets.sim.run.run import Outcome
 from targets.sim.run.stage import Closest
-from targets.sim.trace.schema import FORMAT, End, Header, Mark, RobotName
 
 Place = tuple[float, float, float]
 

@@ -19,12 +19,11 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from koordgen.cli import main
+from koordgen.runtime.trace.schema import Box, End, Marker, MarkerList, Shared, Violation, World
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.folder import MARKER, Foreign, RunFolder
-from targets.sim.base.scenario import Box, Marker, MarkerList, Shared, World
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import End, Violation
+from targets.sim.trace import files as trace
 from targets.sim.view.data import tables
 from targets.sim.view.data.colours import STATES
 from targets.sim.view.data.history import gathered

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from targets.sim.trace.schema import Header
+from koordgen.runtime.trace.schema import Header
 from targets.sim.view.web.dashboard import first_header
 from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime.trace.schema import Init, Round, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import MARKER
-from targets.sim.trace.schema import Init, Round, Violation
 from targets.sim.view.web import live, serve
 from targets.sim.view.web.live import Live, Paced
 from targets.sim.view.web.serve import MOST_CLIENTS, MOST_WAITING, Hub

@@ -6,8 +6,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.base.scenario import Marker, MarkerList, Shared, World
-from targets.sim.trace.schema import Header
+from koordgen.runtime.trace.schema import Header, Marker, MarkerList, Shared, World
 from targets.sim.view.data.markers import DONE, TAKEN, TO_DO, Markers
 from tests.sim.view.canned import header
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from koordgen.runtime.trace.schema import Cause, End, Mark, Verdict, Violation
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.trace.schema import Cause, End, Mark, Verdict, Violation, read
+from targets.sim.trace.files import read
 from targets.sim.view.data import show
 from targets.sim.view.web import report
 from tests.sim.view.browser import CHROMIUM, WEBGL, Browser

@@ -15,11 +15,12 @@ import msgspec
 import pytest
 from matplotlib import pyplot as plt
 
+from koordgen.runtime.trace import schema
+from koordgen.runtime.trace.schema import End, Violation
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.judging import summary
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import End, Violation
+from targets.sim.trace import files as trace
 from targets.sim.view.data.history import gathered
 from targets.sim.view.data.tracks import Tracks, tracks
 from targets.sim.view.pictures import plots
@@ -83,8 +84,8 @@ def test_verdicts(tmp_path: Path, change: dict[str, Any], verdict: str) -> None:
 
 
 def test_a_run_that_does_not_tell_of_all_properties_is_not_plainly_held(tmp_path: Path) -> None:
-    left = trace.Verdict(10.0, "invariant", "Near", "app.koord:7", "out of model", 2.04, (), "bert had left the model")
-    known = trace.Verdict(10.0, "axiom", "Sum", "app.koord:9", "unchecked")
+    left = schema.Verdict(10.0, "invariant", "Near", "app.koord:7", "out of model", 2.04, (), "bert had left the model")
+    known = schema.Verdict(10.0, "axiom", "Sum", "app.koord:9", "unchecked")
     path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS), [left, known, End(10.0, "completed")])
     found = summary.summarise(*trace.read(path), outcome())
     assert found.verdict == "held" and "invariant Near (app.koord:7), out of model since 2.04 s" in found.why
@@ -185,7 +186,7 @@ def test_a_run_that_never_began_has_pictures_too(tmp_path: Path) -> None:
 
 
 def test_the_top_view_shows_the_obstacles(tmp_path: Path) -> None:
-    def stones(head: trace.Header) -> int:
+    def stones(head: schema.Header) -> int:
         path = write(tmp_path / "trace.jsonl", head, moving(STARTS, ENDS))
         picture = plt.imread(plots.draw(tracks_of(path), tmp_path / "plots")["Top view"])
         return int((abs(picture[:, :, :3] - 0xCC / 0xFF).max(axis=2) < 0.01).sum())
@@ -211,9 +212,9 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "trace.jsonl"
     for text in ("", "{}\n", '{"kind":"pose","t":0,"pid":0,"position":[0,0,0],"yaw":0}\n', "\xff"):
         path.write_text(text)
-        with pytest.raises(trace.BadTrace):
+        with pytest.raises(schema.BadTrace):
             trace.read(path)
-    with pytest.raises(trace.BadTrace):
+    with pytest.raises(schema.BadTrace):
         trace.read(tmp_path / "none")
 
 
@@ -255,7 +256,7 @@ def test_merged_records_are_in_order_although_a_round_is_told_only_when_it_is_ce
 def test_a_trace_that_is_cut_off_is_told_with_its_place(canned: Path) -> None:
     whole = canned.read_bytes()
     canned.write_bytes(whole[:-20])
-    with pytest.raises(trace.BadTrace, match=rf"trace.jsonl:{whole.count(10)}: .*cut off"):
+    with pytest.raises(schema.BadTrace, match=rf"trace.jsonl:{whole.count(10)}: .*cut off"):
         list(trace.read(canned)[1])
 
 
@@ -267,4 +268,4 @@ def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest
     assert tail.read() == [] and tail.malformed == 1
     with path.open("ab") as file:
         file.write(b'me":5.0,"phase":"starting"}\n')
-    assert tail.read() == [trace.Phase("starting", time=5.0)]
+    assert tail.read() == [schema.Phase("starting", time=5.0)]

@@ -11,9 +11,21 @@ from typing import Any
 import msgspec
 import pytest
 
-from targets.sim.base.scenario import Shared
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import End, Init, Metrics, Pose, Record, Round, Verdict, Violation
+from koordgen.runtime.trace import schema
+from koordgen.runtime.trace.schema import (
+    End,
+    EventFault,
+    Init,
+    Metrics,
+    PeerQuality,
+    Pose,
+    Round,
+    Shared,
+    TraceRecord,
+    Verdict,
+    Violation,
+)
+from targets.sim.trace import files as trace
 from targets.sim.view.data.history import MOST_MAPS, History, gathered
 from targets.sim.view.data.rows import EVENT, FAULT, SKIPPED, Rows
 from targets.sim.view.web import report
@@ -29,10 +41,10 @@ def raw(**values: Any) -> dict[str, msgspec.Raw]:
     return {name: msgspec.Raw(msgspec.json.encode(value)) for name, value in values.items()}
 
 
-def rows(*records: Record) -> dict[str, list[list[Any]]]:
+def rows(*records: TraceRecord) -> dict[str, list[list[Any]]]:
     made = Rows(HEAD)
     for record in records:
-        assert not isinstance(record, trace.Header)
+        assert not isinstance(record, schema.Header)
         made.take(record, record.t)
     made.end()
     return made.taken()
@@ -51,7 +63,7 @@ def test_a_round_tells_its_outcome_its_writes_where_it_leads_and_how_late_it_was
             pid=1,
         ),
         Round(5, skipped="no event enabled", late=0.01, t=1.3, pid=1),
-        Round(6, "Go", skipped="fault", fault={"file": "a.koord", "line": 3, "reason": "1 / 0"}, t=1.4, pid=1),
+        Round(6, "Go", skipped="fault", fault=EventFault("a.koord", 3, "1 / 0"), t=1.4, pid=1),
     )
     assert found["rounds"] == [
         [1, 1.2, 1.2, 1, EVENT, "Go"],
@@ -100,7 +112,10 @@ def test_the_closest_pair_is_that_of_all_robots_once_all_are_known() -> None:
 
 
 def test_links_marks_and_strangers() -> None:
-    peers = {"1": {"loss": 0.25, "delay_ms": {"p50": 1.5, "p99": 4}, "silent_ms": None, "repeats": 2}, "x": {}}
+    peers: dict[str, PeerQuality] = {
+        "1": {"loss": 0.25, "delay_ms": {"p50": 1.5, "p99": 4}, "silent_ms": None, "repeats": 2},
+        "x": {},
+    }
     found = rows(
         Metrics(peers=peers, rejected={"mac": 2, "epoch": 1}, t=9.0, pid=0),
         Violation(2.0, "separation", ("alice", "bert"), "0.2 m apart"),
@@ -188,9 +203,9 @@ def test_values_that_stay_are_told_once_and_long_ones_are_cut() -> None:
 
 
 def test_locals_are_what_events_wrote_and_what_a_robot_came_back_with() -> None:
-    back = trace.Restored(4, locals=raw(n=2))
+    back = schema.Restored(4, locals=raw(n=2))
     found = rows(
-        trace.Init(locals=raw(n=0), t=-0.5, pid=1),
+        schema.Init(locals=raw(n=0), t=-0.5, pid=1),
         Round(5, "Go", locals=raw(n=3), restored=back, t=0.4, pid=1),
     )
     assert found["locals"] == [[1, -0.5, 0, "n", 0], [1, 0.4, 4, "n", 2], [1, 0.4, 5, "n", 3]]

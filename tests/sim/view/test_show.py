@@ -11,11 +11,11 @@ import msgspec
 import pytest
 
 from koordgen.cli import main
+from koordgen.runtime.trace import schema
 from koordgen.runtime.trace import writer as runtime
-from targets.sim.base.scenario import Shared, load
-from targets.sim.trace import schema as trace
+from koordgen.runtime.trace.schema import End, Shared, Violation
+from targets.sim.base.scenario import load
 from targets.sim.trace.beliefs import Beliefs
-from targets.sim.trace.schema import End, Violation
 from tests.sim.lockstep.lockstep import Plan, built, played
 from tests.sim.view.canned import header, moving, write
 
@@ -128,8 +128,8 @@ def test_it_is_what_the_agents_themselves_knew(tmp_path: Path) -> None:
     told: dict[tuple[int, int], tuple[Any, Any]] = {}
     for agent in plan.run.conduct.agents:
         for line in agent.trace_file.read_bytes().splitlines()[1:]:
-            record = trace.decoded(line)
-            if isinstance(record, (trace.Init, trace.Round)):
+            record = schema.decoded(line)
+            if isinstance(record, (schema.Init, schema.Round)):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
                 beliefs.take(own)
                 belief = beliefs.robots[own.pid]

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime.trace.schema import Init, Log, Moved, Round
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim import harness
-from targets.sim.trace.schema import Init, Log, Moved, Round
 from targets.sim.view.foxglove import stream
 from targets.sim.view.foxglove.messages import Messages
 from targets.sim.view.foxglove.stream import FoxgloveServer, Streamed

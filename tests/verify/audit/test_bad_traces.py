@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koordgen.cli import main
+from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit.reading import opened
 from koordgen.verify.audit.story import mission
-from koordgen.verify.replay.trace import BadTrace
 from tests.verify.audit.fleets import audited, by_name
 from tests.verify.audit.test_audit import HOLDS, edit, home_of
 

@@ -225,7 +225,7 @@ def test_a_solver_has_no_more_memory_than_we_have(monkeypatch: pytest.MonkeyPatc
 def test_a_trace_of_the_counterexample(folder: Path) -> None:
     assert main(["prove", written(COUNTER), "--trace", "trace.jsonl"]) == 3
     lines = [json.loads(line) for line in Path("trace.jsonl").read_text().splitlines()]
-    assert lines[0]["kind"] == "header" and lines[0]["format"] == "koord-trace/1"
+    assert lines[0]["kind"] == "header" and lines[0]["format"] == "koord-trace/2"
     assert lines[-1]["kind"] == "violation" and lines[-1]["name"] == "Below"
     assert lines[-1]["line"] == "app.koord:11" and lines[-1]["detail"] == "false: n[i] < 3"
     values = [line["shared"]["n"] for line in lines if line["kind"] == "round" and line["pid"] == 0]

@@ -14,8 +14,9 @@ from koordgen.lang.check.sections.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
-from targets.sim.trace import schema as trace
-from targets.sim.trace.schema import End, Header, RobotName
+from koordgen.runtime.trace import schema
+from koordgen.runtime.trace.schema import End, Header, RobotName
+from targets.sim.trace import files as trace
 from tests.build.emit.generated import _module
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -64,7 +65,7 @@ class Run:
             path.write_bytes(b"".join(file.getvalue() for file in self.files[pid]))
             own.append(path)
         robots = tuple(RobotName(NAMES[pid], pid, "fake") for pid in range(self.n))
-        header = Header(trace.FORMAT, "app", self.hash, self.fleet.delta, 0, robots)
+        header = Header(schema.FORMAT, "app", self.hash, self.fleet.delta, 0, robots)
         poses = self.folder / "poses.jsonl"
         poses.write_bytes(b"")
         trace.merge(self.folder / "trace.jsonl", header, 0.0, poses, own, [End(self.fleet.time.time, "completed")])

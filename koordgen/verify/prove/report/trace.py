@@ -1,4 +1,4 @@
-"""A counterexample as a trace, format koord-trace/1 (see docs/sim.md): what simulators and replayers read."""
+"""A counterexample as a trace (see docs/sim.md), which simulators and replayers read."""
 
 from __future__ import annotations
 
@@ -12,13 +12,24 @@ from koordgen.lang.semantics.exec import NoMeaning, Writes
 from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute
 from koordgen.lang.semantics.values import Value
+from koordgen.runtime.trace.schema import (
+    FORMAT,
+    LEFT_OUT,
+    Header,
+    Pose,
+    RobotName,
+    Round,
+    Shared,
+    TraceRecord,
+    Violation,
+    plain,
+)
 from koordgen.runtime.values.points import Point
 from koordgen.verify.prove.report.explain import Explanation
 from koordgen.verify.prove.report.model import Conjunct, Counterexample, plain_value
 from koordgen.verify.prove.report.reach import Moment, no_way
 from koordgen.verify.prove.report.spell import spelled
 
-FORMAT = "koord-trace/1"
 UNMOVED = ("", "(environment)")  # moments at which no robot did anything
 
 # What a callable port may say: to a robot, by what its sensors say, the port, the arguments.
@@ -61,20 +72,14 @@ def run_trace(
 ) -> str:  # fmt: skip
     """A run; `violated`: the property that its last moment violates, its line in the program, and how. `culprit` is the
     robot, and its event, that would come next and has no result, where that is what is wrong."""
-    lines = [_header(program, moments, about), *_steps(program, moments, about)]
+    lines: list[TraceRecord] = [_header(program, moments, about), *_steps(program, moments, about)]
     if violated is not None:
         name, line, detail = violated
-        end = {
-            "kind": "violation",
-            "t": float(moments[-1].round),
-            "what": "property",
-            "robots": [f"robot{pid}" for pid in range(len(moments[-1].state.robots))],
-            "detail": detail,
-            "name": name,
-            "line": f"{program.path}:{line}",
-        }
-        lines.append(end | ({"pid": culprit[0], "event": culprit[1]} if culprit else {}))
-    return "".join(json.dumps(line) + "\n" for line in lines)
+        robots = tuple(f"robot{pid}" for pid in range(len(moments[-1].state.robots)))
+        pid, event = culprit or (LEFT_OUT, LEFT_OUT)
+        t, place = float(moments[-1].round), f"{program.path}:{line}"
+        lines.append(Violation(t, "property", robots, detail, name, place, LEFT_OUT, program.name, pid, event))
+    return "".join(json.dumps(plain(line)) + "\n" for line in lines)
 
 
 def _pair(found: Counterexample) -> tuple[Moment, ...]:
@@ -86,51 +91,59 @@ def _pair(found: Counterexample) -> tuple[Moment, ...]:
     return Moment(found.before, "", None, 1), Moment(found.after, found.event, found.pid, 1)
 
 
-def _header(program: decl.Program, moments: tuple[Moment, ...], about: About) -> dict[str, Any]:
+def _header(program: decl.Program, moments: tuple[Moment, ...], about: About) -> Header:
     state = moments[0].state
-    return {
-        "kind": "header",
-        "format": FORMAT,
-        "app": program.name,
-        "program_hash": about.program_hash,
-        "counterexample": "step" if moments[0].round else "run",  # from any state, or from an initial one
-        "delta": 1.0,
-        "seed": 0,
-        "duration": float(moments[-1].round),
-        "robots": [{"name": f"robot{pid}", "pid": pid, "target": "proof"} for pid in range(len(state.robots))],
-        "params": _plain(state.params),
-        "given": list(about.given),
-        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in program.shared],
-    }
+    return Header(
+        format=FORMAT,
+        app=program.name,
+        program_hash=about.program_hash,
+        delta=1.0,
+        seed=0,
+        robots=tuple([RobotName(f"robot{pid}", pid, "proof") for pid in range(len(state.robots))]),
+        duration=float(moments[-1].round),
+        shared=tuple([Shared(v.name, v.kind, str(v.type)) for v in program.shared]),
+        applications=(program.name,),
+        counterexample="step" if moments[0].round else "run",
+        params=_plain(state.params),
+        given=about.given,
+    )
 
 
-def _steps(program: decl.Program, moments: tuple[Moment, ...], about: About) -> Iterator[dict[str, Any]]:
+def _steps(program: decl.Program, moments: tuple[Moment, ...], about: About) -> Iterator[Pose | Round]:
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
     for index, moment in enumerate(moments):
         state = moment.state
-        calls = _calls(program, moments, index, about)
+        calls: Mapping[int, Any] = _calls(program, moments, index, about)
         for pid, robot in enumerate(state.robots):
             acted = moment.pid in (None, pid)
             slots = {name: values[pid] for name, values in state.store.slots.items()}
             place = next((v for n, v in robot.ports.items() if n.endswith(".position") and isinstance(v, Point)), None)
             if place is not None:
-                position = [float(x) for x in (place.x, place.y, place.z)]
-                yield {"kind": "pose", "t": float(moment.round), "pid": pid, "position": position, "yaw": 0.0}
-            record = {
-                "kind": "round",
-                "t": float(moment.round),
-                "pid": pid,
-                "round": moment.round,
-                "event": moment.event if acted and moment.event not in UNMOVED else None,
-                "skipped": None if acted else "another robot's step",
-                "step": moment.event or "the beginning",
-                "sensors": _plain({n: v for n, v in robot.ports.items() if n in sensors}),
-                "shared": _plain({**slots, **state.store.cells}),
-                "actuators": _plain({n: v for n, v in robot.ports.items() if n not in sensors}),
-                "locals": _plain(robot.locals),
-                "stopped": robot.stopped,
-            }
-            yield record | ({"calls": calls[pid]} if calls.get(pid) else {})
+                position = (float(place.x), float(place.y), float(place.z))
+                yield Pose(pid, position, 0.0, LEFT_OUT, float(moment.round))
+            yield Round(
+                round=moment.round,
+                event=moment.event if acted and moment.event not in UNMOVED else None,
+                skipped=None if acted else "another robot's step",
+                fault=LEFT_OUT,
+                late=LEFT_OUT,
+                sensors=_plain({n: v for n, v in robot.ports.items() if n in sensors}),
+                locals=_plain(robot.locals),
+                shared=_plain({**slots, **state.store.cells}),
+                actuators=_plain({n: v for n, v in robot.ports.items() if n not in sensors}),
+                copy=LEFT_OUT,
+                calls=calls.get(pid) or LEFT_OUT,
+                violated=LEFT_OUT,
+                stopped=robot.stopped,
+                restored=LEFT_OUT,
+                clock_bound=LEFT_OUT,
+                counters=LEFT_OUT,
+                time=LEFT_OUT,
+                t=float(moment.round),
+                pid=pid,
+                application=program.name,
+                step=moment.event or "the beginning",
+            )
 
 
 Calls = list[tuple[str, list[Any], Any]]  # port, arguments, answer, in JSON

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.crew import Agent
-from targets.sim.trace.schema import Header, Init, Phase, Pose, Record, Round, Violation
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -31,10 +31,10 @@ class Feed(ABC):
         self._told = 0  # marks of the run
         self._seen: set[tuple[str, tuple[int, int]]] = set()  # what the stage's watch has found
         self._begun = False
-        self._early: list[tuple[Agent, list[Record]]] = []  # heard before it was known when round 1 began
+        self._early: list[tuple[Agent, list[TraceRecord]]] = []  # heard before it was known when round 1 began
 
     @abstractmethod
-    def _take(self, record: Record, t: float) -> None:
+    def _take(self, record: TraceRecord, t: float) -> None:
         """Pass on one record; `t` is its time, whatever it says itself."""
 
     @abstractmethod
@@ -74,7 +74,7 @@ class Feed(ABC):
     def flush(self) -> None:
         """Send what was gathered, as far as it can be sent without waiting."""
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         """See Companion."""
         if not self._begun:
             self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))

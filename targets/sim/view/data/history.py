@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.trace.schema import Header, Record
+from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.view.data.rows import FAULT, SKIPPED, Chunk, Rows
 
 # Of each table: rows of one robot (of one variable's writer), and of all together. 5 MB hold them.
@@ -195,7 +195,7 @@ def _is_map(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 6 and isinstance(value[5], str)
 
 
-def gathered(header: Header, records: Iterable[Record]) -> Chunk:
+def gathered(header: Header, records: Iterable[TraceRecord]) -> Chunk:
     """The rows of a whole trace, read through once."""
     rows, history = Rows(header), History(header)
     for number, record in enumerate(records):

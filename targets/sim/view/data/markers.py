@@ -12,9 +12,8 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.trace.schema import Header, Marker
 from targets.sim.base.bodies import Vector
-from targets.sim.base.scenario import Marker
-from targets.sim.trace.schema import Header
 
 TO_DO, TAKEN, DONE = 0, 1, 2
 

@@ -28,10 +28,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from koordgen.runtime.values.points import Point, Scan
-from targets.sim.base.bodies import Vector
-from targets.sim.trace.noticed import Notable, said
-from targets.sim.trace.schema import (
+from koordgen.runtime.trace.schema import (
     Cause,
     End,
     Header,
@@ -42,13 +39,16 @@ from targets.sim.trace.schema import (
     Moved,
     Phase,
     Pose,
-    Record,
     Round,
     Stream,
+    TraceRecord,
     Verdict,
     Violation,
-    fault_text,
 )
+from koordgen.runtime.values.points import Point, Scan
+from targets.sim.base.bodies import Vector
+from targets.sim.trace.files import was_late
+from targets.sim.trace.noticed import Notable, said
 from targets.sim.view.data.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
@@ -82,7 +82,7 @@ class Rows:
         chunk, self._chunk = self._chunk, {}
         return chunk
 
-    def take(self, record: Record, t: float) -> None:
+    def take(self, record: TraceRecord, t: float) -> None:
         """Make rows of one record; `t` is its time, whatever it says itself."""
         t = round(t, 3)
         match record:
@@ -135,7 +135,7 @@ class Rows:
 
     def _round(self, record: Round, t: float) -> None:
         if record.fault is not None:
-            outcome, what = FAULT, fault_text(record.fault)
+            outcome, what = FAULT, str(record.fault)
         elif record.skipped is not None:
             outcome, what = SKIPPED, record.skipped
         else:
@@ -205,7 +205,7 @@ class Rows:
             row = self._second[record.pid] = [record.pid, second, 0.0, 0, 0]
         row[2] = max(row[2], round(record.late, 4))
         row[3] += 1
-        row[4] += record.was_late(self._delta)
+        row[4] += was_late(record, self._delta)
 
     def end(self) -> None:
         """The trace is over: what was still gathered becomes rows."""

@@ -7,16 +7,16 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.trace.schema import End, Header, TraceRecord, Violation
 from targets.sim.judging.summary import place, seconds
 from targets.sim.trace.beliefs import Belief, Beliefs
-from targets.sim.trace.schema import End, Header, Record, Violation
 
 LONGEST = 200  # characters of a value, for people
 DIGITS = 4  # behind the point, for people
 SAME = 1e-3  # seconds: a round that begins at the time asked for is shown
 
 
-def at(header: Header, records: Iterable[Record], time: float | None) -> tuple[float, Beliefs]:
+def at(header: Header, records: Iterable[TraceRecord], time: float | None) -> tuple[float, Beliefs]:
     """Return the beliefs at a time (s since round 1), and that time. Without one it is the first violation's, else the
     mission's end. Raises BadTrace."""
     beliefs, now = Beliefs(header), 0.0

@@ -14,8 +14,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.trace.beliefs import Beliefs
-from targets.sim.trace.schema import (
+from koordgen.runtime.trace.schema import (
     Cause,
     End,
     Header,
@@ -25,13 +24,13 @@ from targets.sim.trace.schema import (
     Monitor,
     Phase,
     Pose,
-    Record,
     Round,
     Stream,
+    TraceRecord,
     Verdict,
     Violation,
-    fault_text,
 )
+from targets.sim.trace.beliefs import Beliefs
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     "poses": ("t", "robot", "x", "y", "z", "yaw"),
@@ -47,7 +46,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 Row = tuple[Any, ...]
 
 
-def write(folder: Path, header: Header, records: Iterable[Record]) -> None:
+def write(folder: Path, header: Header, records: Iterable[TraceRecord]) -> None:
     """Write all tables into `folder`, reading the records once. Raises BadTrace, OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     names = {robot.pid: robot.name for robot in header.robots}
@@ -63,7 +62,7 @@ def write(folder: Path, header: Header, records: Iterable[Record]) -> None:
                 tables[table].writerow(row)
 
 
-def _believed(record: Record, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
+def _believed(record: TraceRecord, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
     """Rows for what a robot knows from now on: locals, and shared variables by its own copy."""
     for change in beliefs.take(record):
         if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
@@ -72,7 +71,7 @@ def _believed(record: Record, beliefs: Beliefs, names: dict[int, str]) -> Iterat
             yield "beliefs", (record.t, robot, getattr(record, "round", 0), change.of, change.name, slot, value)
 
 
-def _rows(record: Record, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
+def _rows(record: TraceRecord, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
     t = record.t if not isinstance(record, Header) else 0.0
     match record:
         case Violation(what=what, robots=robots, detail=detail, name=name, line=line):
@@ -113,7 +112,7 @@ def _of_robot(
         case Init():
             yield from _values(record, t, robot, 0)
         case Round(round=number, event=event, skipped=skipped, fault=fault, late=late):
-            told = "" if fault is None else fault_text(fault)
+            told = "" if fault is None else str(fault)
             yield "rounds", (t, robot, number, event or "", skipped or "", told, late)
             yield from _values(record, t, robot, number)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koordgen.runtime.trace.schema import Header
 from targets.sim.base.bodies import Vector
-from targets.sim.trace.schema import Header
 from targets.sim.view.data.markers import TO_DO
 from targets.sim.view.data.rows import Chunk
 

@@ -21,22 +21,22 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.values.obstacles import Obstacle
-from targets.sim.trace.schema import (
+from koordgen.runtime.trace.schema import (
     Cause,
     Header,
     Log,
     Metrics,
     Moved,
+    OfRobot,
     Phase,
     Pose,
-    Record,
     Round,
     Stream,
+    TraceRecord,
     Verdict,
     Violation,
-    fault_text,
 )
+from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.view.data.rows import EVENT, FAULT, SKIPPED, Chunk, Rows
 from targets.sim.view.foxglove import scene
 
@@ -60,8 +60,8 @@ class Messages:
         markers = [scene.marker(at, k, place, radius, 0) for k, (place, radius) in enumerate(self._markers)]
         yield "/scene", "foxglove.SceneUpdate", _scene(scene.standing(self._header, at) + markers)
 
-    def of(self, record: Record, at: int) -> Iterator[Message]:
-        pid = getattr(record, "pid", -1)
+    def of(self, record: TraceRecord, at: int) -> Iterator[Message]:
+        pid = record.pid if isinstance(record, OfRobot) else -1
         name = self._names[pid] if 0 <= pid < len(self._names) else ""
         match record:
             case Header():
@@ -175,7 +175,7 @@ def _verdict(
 
 
 def _round(record: Round, name: str) -> dict[str, Any]:
-    fault = None if record.fault is None else fault_text(record.fault)
+    fault = None if record.fault is None else str(record.fault)
     told = {"t": record.t, "robot": name, "round": record.round, "event": record.event, "skipped": record.skipped}
     return told | {"fault": fault, "late": record.late}
 

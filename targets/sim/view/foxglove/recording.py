@@ -15,12 +15,12 @@ from typing import Any
 import msgspec
 from mcap.writer import Writer
 
-from targets.sim.trace.schema import Header, Record
+from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.view.foxglove.messages import Message, Messages
 from targets.sim.view.foxglove.schemas import schema
 
 
-def write(path: Path, header: Header, records: Iterable[Record]) -> None:
+def write(path: Path, header: Header, records: Iterable[TraceRecord]) -> None:
     """Write the file, reading the records once. Raises BadTrace, OSError."""
     with path.open("wb") as file:
         writer: Any = Writer(file)

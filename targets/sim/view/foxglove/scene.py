@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from koordgen.runtime.trace.schema import Header
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.trace.schema import Header
 from targets.sim.view.data.colours import GREY, STATES, STONE, of_robot, rgba
 
 FRAME = "map"

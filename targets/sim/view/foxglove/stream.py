@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.trace.schema import Header, Init, Record, Round
+from koordgen.runtime.trace.schema import Header, Init, Round, TraceRecord
 from targets.sim.view.data.feed import Feed
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.foxglove.messages import Message, Messages
@@ -124,7 +124,7 @@ class Streamed(Feed):
         self._messages = Messages(header)
         self._shift = 0.0  # s from the launch to round 1
 
-    def _take(self, record: Record, t: float) -> None:
+    def _take(self, record: TraceRecord, t: float) -> None:
         if isinstance(record, Header) or (not self._begun and isinstance(record, (Init, Round))):
             return  # what is heard before it is known when round 1 began comes again then
         at = max(0, round((t + self._shift) * 1e9))

@@ -7,8 +7,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 
+from koordgen.runtime.trace.schema import Header
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from targets.sim.trace.schema import Header
 from targets.sim.view.data.colours import COLOURS, DASHES, GREY, STATES, STONE
 from targets.sim.view.data.tracks import Tracks, cells
 

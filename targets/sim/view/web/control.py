@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import GIVEN
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Event, Schedule, read
 from targets.sim.run.crew import Agent
 from targets.sim.run.faults import Faults, check_obstacles, check_robots, told
-from targets.sim.trace.schema import Record
 from targets.sim.view.web.live import Live, Paced
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ class Control:
             self._hold(self._paced, at, states)
         self._paced.step(at, states)
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         """See Companion."""
 
     def end(self, at: float) -> None:

@@ -22,7 +22,7 @@ from urllib.parse import parse_qs
 
 import msgspec
 
-from targets.sim.trace.schema import FORMAT, Header, RobotName
+from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 from targets.sim.view.foxglove.stream import FoxgloveServer
 from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
 from targets.sim.view.web.guard import Guard

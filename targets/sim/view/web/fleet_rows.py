@@ -16,9 +16,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, PeerQuality, Phase, Pose, Round, Shared
 from targets.sim.base.bodies import Vector
-from targets.sim.base.scenario import Shared
-from targets.sim.trace.schema import Header, Log, Metrics, Phase, Pose, Round
 from targets.sim.view.data.rows import Chunk, Rows
 
 FRESH = 1.0  # seconds: a robot whose last report is older is silent
@@ -85,7 +84,7 @@ class Report(msgspec.Struct, frozen=True):
     current: Count = 0
     late_ms: dict[str, float] = {}
     rejected: dict[str, int] = {}
-    peers: dict[str, dict[str, Any]] = {}
+    peers: dict[str, PeerQuality] = {}
 
     @property
     def loss(self) -> float | None:
@@ -260,7 +259,7 @@ class FleetRows:
                     known.round = number
                     told = Round(
                         number, detail if outcome == "event" else None, detail if outcome == "skipped" else None,
-                        detail if outcome == "fault" else None, late_ms / 1e3, pid=pid,
+                        EventFault("", 0, detail) if outcome == "fault" else None, late_ms / 1e3, pid=pid,
                     )  # fmt: skip
                     self._rows.take(told, when(number))
         for name, _, number, value in report.shared:

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.crew import Agent
-from targets.sim.trace.schema import Header, Record
 from targets.sim.view.data.feed import Feed
 from targets.sim.view.data.rows import Rows
 
@@ -91,7 +91,7 @@ class Live(Feed):
             raise OSError(f"the live view cannot use port {asked}: {said['error']}; {way}")
         return int(said["port"])
 
-    def _take(self, record: Record, t: float) -> None:
+    def _take(self, record: TraceRecord, t: float) -> None:
         self._rows.take(record, t)
 
     def _anew(self) -> None:
@@ -187,7 +187,7 @@ class Paced:
     def _restart(self, at: float) -> None:
         self._host, self._clock = time.monotonic(), at
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
+    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
         pass
 
     def end(self, at: float) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from targets.sim.trace.schema import Header
+from koordgen.runtime.trace.schema import Header
 from targets.sim.view.data.rows import Chunk
 
 FOLDER = Path(__file__).parent / "page"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from koordgen.runtime.trace.schema import Header, Log, Monitor, Phase, Round, TraceRecord, Verdict, Violation
 from targets.sim.judging.summary import (
     LEFT_OPEN,
     RobotSummary,
@@ -25,8 +26,8 @@ from targets.sim.judging.summary import (
 )
 from targets.sim.run.run import Outcome
 from targets.sim.run.stage import Closest
+from targets.sim.trace.files import read
 from targets.sim.trace.noticed import Notable, said
-from targets.sim.trace.schema import Header, Log, Monitor, Phase, Record, Round, Verdict, Violation, fault_text, read
 from targets.sim.view.data.history import gathered
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.web.page import page
@@ -40,7 +41,7 @@ CLASSES = {"held": "good", "violated": "bad", "no value": "bad", "unchecked": "w
 BAD = {"error", "fault", "separation", "collision", "ended", "unrest", "property", "idle"}
 
 
-def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
+def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[float, str, str, str]]:
     """What the report tells of the trace: t, robot, kind and text of all violations, and the first MOST_LINES of
     changed phases, warnings, errors, violations that robots saw themselves and each robot's different faults."""
     names = {robot.pid: robot.name for robot in header.robots}
@@ -65,9 +66,9 @@ def important(header: Header, records: Iterable[Record]) -> list[tuple[float, st
                 found.append((record.t, names.get(record.pid, "?"), "monitor", text))
             case Log() if record.level != "info":
                 found.append((record.t, names.get(record.pid, "?"), record.level, record.message))
-            case Round(fault=fault) if fault is not None and (record.pid, fault_text(fault)) not in seen:
-                seen.add((record.pid, fault_text(fault)))
-                found.append((record.t, names.get(record.pid, "?"), "fault", fault_text(fault)))
+            case Round(fault=fault) if fault is not None and (record.pid, str(fault)) not in seen:
+                seen.add((record.pid, str(fault)))
+                found.append((record.t, names.get(record.pid, "?"), "fault", str(fault)))
             case _:
                 pass
     return found

@@ -25,7 +25,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from targets.sim.trace.schema import Header
+from koordgen.runtime.trace.schema import Header
 from targets.sim.view.data.history import History
 from targets.sim.view.web.guard import Guard
 from targets.sim.view.web.page import page

@@ -1,0 +1,215 @@
+"""Files of a run: the agents' traces while they grow, the poses, and the one merged trace, read and written.
+
+`koordgen/runtime/trace/schema.py` has the records. In an agent's file `time` is the run's clock: in real time the
+host's, in lockstep from 0.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from koordgen.runtime.trace.schema import (
+    HEADER,
+    LEFT_OUT,
+    NO_HEADER,
+    OF_EVENTS,
+    BadTrace,
+    Header,
+    Mark,
+    Pose,
+    RobotHeader,
+    Round,
+    TraceRecord,
+    Upgrade,
+    Verdict,
+    Violation,
+    decoded,
+    decoded_header,
+    encoded,
+    format_of,
+)
+from targets.sim.base.bodies import BodyState
+
+LATE = 0.5  # of delta: a round decided later than this is late
+MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
+
+
+class _Timed(msgspec.Struct):
+    """Time of a record of a robot's own trace, of any kind."""
+
+    time: float | None = None
+
+
+_time = msgspec.json.Decoder(_Timed)
+_raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
+
+
+def was_late(record: Round, delta: float) -> bool:
+    """Return whether a round was decided later than it should be: one that waits for others is, at the deadline."""
+    waited = (record.skipped or "").startswith(("not current", "not confirmed"))
+    return record.late > LATE * delta and not waited
+
+
+class Tail:
+    """Follows a file that an agent is writing; what is no record is counted and passed over."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        self._rest = b""
+        self.malformed = 0
+
+    def read(self) -> list[TraceRecord]:
+        """The records written since the last time."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._offset)
+                data = file.read(MOST_AT_ONCE)
+        except FileNotFoundError:
+            return []
+        self._offset += len(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        found: list[TraceRecord] = []
+        for line in lines:
+            try:
+                # An agent's header says other things than the merged file's.
+                if not line.startswith(HEADER) and (record := decoded(line)) is not None:
+                    found.append(record)
+            except msgspec.DecodeError:
+                self.malformed += 1
+        return found
+
+
+class Poses:
+    """Writes poses to a file of their own while the run goes on, with host times."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: IO[bytes] = path.open("wb")
+
+    def write(self, time: float, states: list[BodyState]) -> None:
+        for pid, state in enumerate(states):
+            place = (round(state.position[0], 5), round(state.position[1], 5), round(state.position[2], 5))
+            record = Pose(pid, place, round(state.yaw, 5), time, LEFT_OUT)
+            self._file.write(encoded(record) + b"\n")
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:
+    """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
+    their pids. Raises OSError."""
+    streams = [
+        _marked(marks, header.app),
+        _posed(poses, zero),
+        *(_told(file, zero, pid) for pid, file in enumerate(agents)),
+    ]
+    with path.open("wb") as out:
+        out.write(encoded(header) + b"\n")
+        for _, line in heapq.merge(*streams, key=lambda pair: pair[0]):
+            out.write(line + b"\n")
+
+
+def at(line: bytes, t: float, pid: int) -> bytes:
+    """Return a record of a robot's own trace as the merged one has it; one of a pid below 0 names its robot itself.
+    Raises msgspec.DecodeError."""
+    record = _raw.decode(line)
+    own = {"kind": record.pop("kind"), "t": t, **({} if pid < 0 else {"pid": pid})}
+    record.pop("time", None)
+    return encoded({**own, **record})
+
+
+def time_of(line: bytes) -> float | None:
+    """Return when a record of a robot's own trace was written, by its clock (s); None of a header, and of a line that
+    is no record."""
+    if not line.endswith(b"\n") or line.startswith(HEADER):
+        return None
+    with suppress(ValueError, RecursionError):
+        decoded(line)
+        _raw.decode(line)
+        return _time.decode(line).time
+    return None
+
+
+def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
+    for mark in sorted(marks, key=lambda m: m.t):
+        if isinstance(mark, Verdict) or (isinstance(mark, Violation) and mark.what in OF_EVENTS):
+            yield mark.t, encoded(msgspec.structs.replace(mark, application=application))
+        else:
+            yield mark.t, encoded(mark)
+
+
+def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
+    """Written by the run itself, so in order; whatever is broken raises."""
+    if path.exists():
+        with path.open("rb") as file:
+            for line in file:
+                if line.endswith(b"\n"):
+                    t = round((_time.decode(line).time or 0.0) - zero, 6)
+                    yield t, at(line, t, -1)
+
+
+def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
+    """An agent's records by time, those of one time as it wrote them. It writes a round when that is certain, behind
+    later records of other kinds; how far behind depends on its peers. So the file is looked through first."""
+    if not path.exists():
+        return
+    places: list[tuple[float, int]] = []
+    with path.open("rb") as file:
+        after = 0
+        for line in file:
+            place, after = after, after + len(line)
+            time = time_of(line)
+            if time is not None:
+                places.append((time, place))
+        for time, place in sorted(places):
+            file.seek(place)
+            t = round(time - zero, 6)
+            yield t, at(file.readline(), t, pid)
+
+
+def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:
+    """Return a merged trace's header, and everything else in order, but for kinds that are not known here. Raises
+    BadTrace, also while being read."""
+    found = lines(path)
+    _, _, header = next(found)
+    if not isinstance(header, Header):
+        raise BadTrace(f"{path}: no header of a run's trace; it is a robot's own")
+    return header, (record for _, _, record in found if record is not None and not isinstance(record, RobotHeader))
+
+
+def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | None]]:
+    """Each line of a trace in the present format, with its number and its record; None of a kind that is not known
+    here. The first is a header. Raises BadTrace."""
+    upgrade, number, line = Upgrade(), 0, b""
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                line = upgrade.line(line)
+                record = decoded_header(line) if format_of(line) else decoded(line)
+                if number == 1 and not isinstance(record, Header | RobotHeader):
+                    raise BadTrace(f"{path}: {NO_HEADER}")
+                yield number, line, record
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        cut = "" if line.endswith(b"\n") else "; the file is cut off there"
+        raise BadTrace(f"{path}:{number}: {error}{cut}") from None
+    if not number:
+        raise BadTrace(f"{path}: {NO_HEADER}; the file is empty")
+
+
+def upgrade(path: Path, made: Path) -> str:
+    """Write a trace in the present format to `made`; return the format that it has. Raises BadTrace, OSError."""
+    with path.open("rb") as file:
+        first = file.readline()
+    with made.open("wb") as out:
+        for _, line, _ in lines(path):
+            out.write(line)
+    return format_of(first)
