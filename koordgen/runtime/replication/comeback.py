@@ -1,5 +1,7 @@
 """How a robot that does not count, or has lost the store, comes back: it asks to be let in, then for the store.
 
+Rejoin and state transfer.
+
 It is in again when a view has admitted it under a new incarnation. From then on it closes the rounds, in which it does
 nothing, so that nobody waits for it; and it gathers the store, piece by piece, from one member at a time.
 """

@@ -1,4 +1,8 @@
-"""Of whom there has been news lately: a robot whose closings stay away for too long is doubted."""
+"""Of whom there has been news lately: a robot whose closings stay away for too long is doubted.
+
+Failure detector (dead-robot detection): suspects a member whose round messages have been missing for too long. A view
+change (`views`) then decides whether it still counts.
+"""
 
 from __future__ import annotations
 

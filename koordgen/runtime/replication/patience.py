@@ -1,6 +1,8 @@
 """When and whom a robot asks for what it lacks, how long it waits for that, and when it repeats unasked what others
 lack.
 
+Retransmission policy: when to ask for missing round messages (NACK), and when to send own ones again.
+
 Who wakes late shares a busy computer, and the others may be as late: what it lacks is then late rather than lost, and
 a fleet that is short of time must not spend it on asking itself. What is lost soon shows: more of the same robot comes,
 or another tells that it has it.

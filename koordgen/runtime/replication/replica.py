@@ -1,5 +1,7 @@
 """One robot's shared memory as it talks to the others: words, closings, questions, ballots, and coming back.
 
+Sends round messages, acknowledgements and retransmissions, and runs the failure detector and view changes.
+
 `memory` is the store, or None while this robot has none that counts: after its process began anew, or after the others
 went on without it. Time comes in as ticks, SLOTS in a round.
 """

@@ -1,5 +1,7 @@
 """Who counts: how a majority agrees on the next view, by one ballot after another until one is decided.
 
+View change: group membership by consensus. A view is the set of robots that count.
+
 That is Paxos (Lamport 1998). The value of view w+1 is made of what its proposer was promised: everyone who promised is
 in it, and the rounds of view w end with the greatest that one of them had applied. Who has promised applies no further
 round, so nobody who stays goes beyond that end. All N robots vote, also those that do not count now. Everything here is

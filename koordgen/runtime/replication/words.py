@@ -1,4 +1,7 @@
-"""What the other robots last said of themselves: how far they have applied, and what they lack."""
+"""What the other robots last said of themselves: how far they have applied, and what they lack.
+
+Acknowledgements of each peer, as it sent them last.
+"""
 
 from __future__ import annotations
 
