@@ -81,7 +81,18 @@ def tracked(*folders: str) -> list[str]:
 def test_it_carries_examples_and_pages_and_nothing_that_lies_about(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     data = {name.removeprefix("koordgen/_data/") for name in names if name.startswith("koordgen/_data/")}
-    assert data == set(tracked("examples", "docs", "templates", "targets", "README.md", "ARCHITECTURE.md"))
+    assert data == set(
+        tracked(
+            "examples",
+            "docs",
+            "templates",
+            "targets",
+            "README.md",
+            "ARCHITECTURE.md",
+            "CONTRIBUTING.md",
+            "CHANGELOG.md",
+        )
+    )
     package = {name for name in names if name.startswith("koordgen/") and not name.startswith("koordgen/_data/")}
     assert package == set(tracked("koordgen"))
     assert sum(info.compress_size for info in zipfile.ZipFile(wheel).infolist()) < 4e6, "bytes"
