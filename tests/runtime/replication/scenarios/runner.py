@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
+from textwrap import shorten
 
 from tests.runtime.replication.core import KINDS, SLOTS, STORE, Event, Fleet, Sent, Violation
 from tests.runtime.replication.scenarios.network import ROUNDS_OF_TALK, Link, Network
 
 FOLDER = Path(__file__).parent
-RECENT = 12  # lines of messages in an error
+RECENT, WIDTH = 12, 150  # lines of messages in an error, and how long they are
 INDENT = "    "  # of the output of `show`; commands have none
 
 
@@ -63,7 +64,7 @@ def run_text(text: str, name: str, rewrite: bool = False) -> str:
 def _recent(scenario: Scenario) -> str:
     lines = told(scenario.network.sent)
     more = [f"    ... {len(lines) - RECENT} lines before"] if len(lines) > RECENT else []
-    found = "\n".join([*more, *[f"    {line}" for line in lines[-RECENT:]]])
+    found = "\n".join([*more, *[f"    {shorten(line, WIDTH, placeholder=' ...')}" for line in lines[-RECENT:]]])
     return f"\n  messages since the last step:\n{found}" if found else ""
 
 
