@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
-from koordgen.runtime.agent.rounds import Rounds
+from koordgen.runtime.agent.rounds import Lost, Rounds
+from koordgen.runtime.agent.store import KEPT
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.wire import (
     Accept,
@@ -36,7 +37,8 @@ from koordgen.runtime.replication.replica import SLOTS as SLOTS  # re-exported
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.views import Vote
 from koordgen.runtime.values.bounds import Fixed
-from tests.model.lab import SENSED, Body, Flight, Kept, Wire
+from tests.model.lab import SENSED, Body, Flight, Wire
+from tests.model.lab import Kept as LabKept
 
 # Kinds of messages by role. `entries`: log entries of rounds, with a progress report; `report`: the report alone.
 KINDS = (
@@ -125,6 +127,17 @@ class _Body(Body):
     def hold(self, reason: str, on: bool, now: float) -> bool:
         (self.reasons.add if on else self.reasons.discard)(reason)
         return False
+
+
+class Kept(LabKept):
+    """What a robot finds again after a restart. As in the file, the lives written last stay, not those of the last
+    rounds: a robot that loses contention writes the one of its last event again."""
+
+    def keep(self, life: Life) -> None:
+        self.lives.pop(life.round, None)
+        self.lives[life.round] = life
+        for old in list(self.lives)[:-KEPT]:
+            del self.lives[old]
 
 
 class _Link(Wire):
@@ -264,7 +277,10 @@ class Fleet:
     def poll(self, pid: int, time: float) -> list[Sent]:
         """Let a robot do what is due at a time, in slots; returns what it has sent."""
         robot = self._robots[pid]
-        robot.rounds.poll(time / SLOTS, lambda t: SENSED, None)
+        try:
+            robot.rounds.poll(time / SLOTS, lambda t: SENSED, None)
+        except Lost as lost:
+            raise Violation(f"robot {pid} is lost: {lost}") from None
         self._check(pid)
         return self._drain(pid)
 

@@ -48,6 +48,8 @@ def run_text(text: str, name: str, rewrite: bool = False) -> str:
             shown = scenario.do(line.split("#")[0].split())
         except (Failure, Violation) as failure:
             raise ScriptError(f"{place}: {failure}\n  {line.strip()}{_recent(scenario)}") from None
+        except Exception as error:
+            raise ScriptError(f"{place}: {error!r}\n  {line.strip()}{_recent(scenario)}") from error
         if shown is None:
             continue
         stands = list[str]()
