@@ -51,6 +51,7 @@ def error(text: str) -> str:
         ("expect rain", "expected one of: expect applied, "),
         ("expect applied", "expected `expect applied VALUE [ROBOTS]`"),
         ("expect applied 4 1", "applied of robot 1 is 0"),
+        ("expect applied 0 1 2", "too many words: 2"),
         ("expect output 1 0", "robot 0 has no output"),
         ("expect view 1 {0,1}", "robot 0 goes by view 0 {0,1,2} from 1"),
         ("expect view 0 {0,1,2} from 2", "robot 0 goes by view 0 {0,1,2} from 1"),

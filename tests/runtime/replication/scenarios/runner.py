@@ -156,6 +156,8 @@ class Scenario:
 
     def present(self, words: list[str]) -> list[int]:
         """Read which robots are meant; without a word all that run."""
+        if len(words) > 1:
+            raise Failure(f"too many words: {' '.join(words[1:])}")
         if words:
             return sorted(self.pids(words[0]))
         return [p for p in range(self.fleet.n) if p not in self.crashed]
