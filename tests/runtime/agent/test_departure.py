@@ -16,7 +16,6 @@ from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.net.wire import Round, decode
 from koordgen.runtime.program.program import Event
 from koordgen.runtime.values.points import Point
-from tests.runtime.replication.test_restarts import SOON, kill
 
 
 def count(s: State) -> None:
@@ -26,10 +25,6 @@ def count(s: State) -> None:
 
 COUNTING = replace(PROGRAM, init=None, events=(Event("Count", 3, lambda s: True, count),))  # nothing leaves the robot
 CALM = Conditions(delay=0.001)
-
-
-class Killed(BaseException):
-    """The process is gone."""
 
 
 def closed(datagram: bytes, pid: int) -> list[int]:
@@ -99,34 +94,6 @@ def test_what_an_event_commanded_is_there_before_the_next_event(seed: int) -> No
                 commanded = {**commanded, **record.effects.actuators}
                 seen += 1
         assert seen > 20
-
-
-@pytest.mark.parametrize("round_", [30, 31, 32])
-def test_who_dies_right_after_its_closing_left_goes_on_from_that_event(round_: int) -> None:
-    fleet = Fleet(n=3, program=COUNTING, conditions=CALM, safety=SOON).boot_all()
-    transport = fleet.robots[1].agent._transport
-    send = transport.send
-
-    def sends(to: Sequence[int], datagram: bytes) -> None:
-        send(to, datagram)
-        if round_ in closed(datagram, 1):
-            raise Killed
-
-    transport.send = sends  # type: ignore[method-assign]
-    with pytest.raises(Killed):
-        fleet.run(30.0)
-    assert [record.round for record in fleet.kept[1].load().locals][-1] == round_
-    kill(fleet, 1)
-    fleet.run(0.35)
-    fleet.boot(1)
-    fleet.run_told(round_ + 60)
-    slots = [int(r.frame.shared["x"][1].x) for r in fleet.robots[0].records if r.frame is not None]
-    assert sorted(set(slots)) == list(range(slots[0], slots[-1] + 1)) and slots == sorted(slots), (
-        "none twice, none lost"
-    )
-    assert slots[-1] > round_ + 5, "it has gone on"
-    of_it = [record.round for record in fleet.robots[1].records]
-    assert of_it == sorted(set(of_it)) and of_it[0] <= round_ + 30
 
 
 def test_the_own_closing_leaves_before_what_has_arrived_is_looked_at() -> None:

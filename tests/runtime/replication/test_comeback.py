@@ -103,7 +103,6 @@ def test_only_the_last_stores_are_kept_and_who_gathers_an_older_one_begins_anew(
     other = Want(head(1), 4, 2, 0, b"", b"")
     for applied in range(41, 41 + KEPT):
         answer(store, 1, other, state(applied))
-    assert len(store._kept) == KEPT
     _, want = wanted(comeback.poll(2, VIEW))
     newer = pieces(answer(store, CLEO, want, state(50)))
     assert {p.round for p in newer} == {50}

@@ -11,44 +11,7 @@ import pytest
 from koordgen.runtime.net.wire import Closing, View, Write
 from koordgen.runtime.replication.log import GAPS, Entry
 from koordgen.runtime.replication.memory import AHEAD, WINDOW, Memory
-from koordgen.runtime.replication.outcome import winner
 from tests.runtime.replication.memories import everything, fleet, give, layout, log_of, one, said, silence, view, write
-
-
-def test_plain_writes_by_ascending_pid_after_the_commits() -> None:
-    alice = fleet()[0]
-    alice.close(1, {"last": 100, "x": 7}, stopped=False, acted=True)
-    give(alice, one(2, 1, write(1, 5), lock=0), silence(1, 1, 1))
-    assert alice.advance(2) and alice.shared == {"x": (7, 0, 0), "last": 100}
-    alice.close(2, {}, stopped=False)
-    give(alice, one(2, 2, write(1, 22)), one(1, 2, write(1, 21)))
-    assert alice.advance(3) and alice.shared["last"] == 22
-
-
-def test_of_each_lock_one_commit_counts_whole_and_the_others_never_happened() -> None:
-    for round_ in range(1, 7):
-        alice = fleet()[0]
-        give(alice, *[silence(pid, 1, round_ - 1) for pid in (1, 2)] if round_ > 1 else [])
-        if round_ > 1:
-            alice.close(round_ - 1, {}, stopped=False)
-        alice.close(round_, {"last": 0, "x": 50}, stopped=False, acted=True, lock=3)
-        give(alice, *[one(pid, round_, write(0, 50 + pid), write(1, pid), lock=3, stopped=True) for pid in (1, 2)])
-        assert alice.advance(round_ + 1)
-        best = winner([0, 1, 2], 3, round_, 3)
-        assert alice.shared == {"x": tuple(50 + pid if pid == best else 0 for pid in range(3)), "last": best}
-        assert alice.acted == [round_ if pid == best else 0 for pid in range(3)]
-        assert alice.stopped == ({best: round_} if best else {})
-        assert alice.won == (round_ if best == 0 else 0)
-
-
-def test_nothing_is_applied_before_all_closings_of_a_round_are_here() -> None:
-    alice = fleet()[0]
-    alice.close(1, {"x": 1}, stopped=False, acted=True)
-    give(alice, one(2, 1, write(0, 3)))
-    assert not alice.advance(2) and alice.applied == 0 and alice.missing(1) == [1]
-    assert alice.shared["x"] == (0, 0, 0)
-    give(alice, one(1, 1, write(0, 2)))
-    assert alice.advance(2) and alice.shared["x"] == (1, 2, 3)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -158,7 +121,7 @@ def test_a_long_silence_is_one_closing_and_is_applied_at_once() -> None:
 def test_closings_of_a_robot_gone_wrong_change_nothing(bad: Closing, why: str | None) -> None:
     alice = fleet()[0]
     assert give(alice, bad) == [why]
-    assert alice.held == (0, 0, 0) and not alice._logs[1].later
+    assert alice.held == (0, 0, 0)
     alice.close(1, {}, stopped=False)
     assert give(alice, silence(1, 1, 1), silence(2, 1, 1)) == [None, None]
     assert alice.advance(2)
@@ -182,49 +145,6 @@ def test_closings_beyond_a_gap_are_kept_only_up_to_a_bound() -> None:
     assert refused.count(None) == 2 * WINDOW
     give(alice, one(1, 1, write(0, 1)))
     assert alice.held[1] == GAPS + 1, "what closes the gap finds room"
-
-
-def test_a_robot_whose_closings_nobody_takes_becomes_crowded() -> None:
-    alice = fleet()[0]
-    for round_ in range(1, WINDOW + 1):
-        assert not alice.crowded()
-        alice.close(round_, {"x": round_}, stopped=False, acted=True)
-    assert alice.crowded()
-
-
-def test_what_everyone_holds_is_forgotten_and_what_someone_lacks_is_not() -> None:
-    alice = fleet()[0]
-    for round_ in range(1, 11):
-        alice.close(round_, {"x": round_}, stopped=False, acted=True)
-        give(alice, one(1, round_, write(0, round_)), one(2, round_, write(0, round_)))
-    assert alice.advance(11)
-    said(alice, 1, 10)
-    said(alice, 2, 4)
-    alice.close(11, {}, stopped=False)
-    give(alice, silence(1, 11, 11), silence(2, 11, 11))
-    assert alice.advance(12) and alice.settled() == 4
-    assert [c.round for c in alice.own(1)] == [5, 6, 7, 8, 9, 10, 11]
-    said(alice, 2, 4, through=10, asks=True)
-    assert {(c.author, c.round) for c in alice.repeat(2)} == {(p, r) for p in range(3) for r in range(5, 11)}
-    assert alice.repeat(2) == [], "once for each time it says so"
-
-
-def test_a_round_is_stable_once_a_majority_of_all_has_applied_it() -> None:
-    alice = fleet(5)[0]
-    for _ in range(3):
-        alice.close(alice.applied + 1, {}, stopped=False)
-        give(alice, *[silence(pid, alice.applied + 1, alice.applied + 1) for pid in range(1, 5)])
-        alice.advance(alice.applied + 2)
-    assert alice.applied == 3
-    said(alice, 1, 3)
-    said(alice, 2, 2)
-    assert not alice.stable(3) and alice.stable(2) and alice.unaware(3) == [2, 3, 4]
-    said(alice, 2, 1)
-    assert alice.stable(2), "an older word that comes late takes nothing back"
-    said(alice, 3, 3, number=1)
-    assert not alice.stable(3), "a word of another view does not count"
-    said(alice, 2, 3)
-    assert alice.stable(3) and not alice.stable(4)
 
 
 @pytest.mark.parametrize("of_another", [0, 1, 2])
@@ -290,12 +210,3 @@ def test_a_stopped_robot_tells_it_with_each_silence() -> None:
     log.take(Entry(silence(1, 1, 3), ()))
     log.take(Entry(silence(1, 4, 6, stopped=True), ()))
     assert [e.closing.round for e in log.entries] == [3, 6]
-
-
-def test_all_have_stopped_counts_only_those_who_count() -> None:
-    alice = fleet()[0]
-    alice.close(1, {}, stopped=True)
-    give(alice, silence(1, 1, 1, stopped=True), silence(2, 1, 1))
-    assert alice.advance(2) and alice.all_stopped is None
-    alice.adopt(View(1, 2, (0, 0, -1)))
-    assert alice.all_stopped == 1

@@ -109,18 +109,6 @@ def test_a_partition_takes_no_count_from_anyone(seed: int) -> None:
     assert total(fleet.robots[0]) == 5 * OFTEN
 
 
-def test_all_robots_may_die_one_after_another() -> None:
-    fleet = counters(3, 0.0)
-    for pid in range(5):
-        fleet.run(0.5)
-        kill(fleet, pid)
-        fleet.run(0.3)
-        fleet.boot(pid)
-        fleet.run(3.0)
-    finish(fleet)
-    assert total(fleet.robots[0]) == 5 * OFTEN
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_outputs_and_what_is_seen_go_on_where_they_were(seed: int) -> None:
     fleet = Fleet(seed=seed, safety=SOON).boot_all()
@@ -135,33 +123,6 @@ def test_outputs_and_what_is_seen_go_on_where_they_were(seed: int) -> None:
     assert again and again == list(range(again[0], again[0] + len(again)))
     assert again[0] in (done[-1] + 1, done[-1] + 2), "at most one that counted was not told before it died"
     assert new.agent.phase == "running" and not new.platform.held
-
-
-def test_a_robot_that_stopped_has_stopped_after_a_restart() -> None:
-    fleet = Fleet(program=COUNTER, safety=SOON).boot_all()
-    fleet.run(
-        60, until=lambda: all(r.agent._rounds is not None and r.agent._rounds.stopped for r in fleet.robots.values())
-    )
-    fleet.run(0.5)
-    kill(fleet, 1)
-    new = fleet.boot(1)
-    fleet.run(1.5)
-    assert new.agent.phase in ("running", "resting", "rested") and new.platform.held
-    assert new.agent._rounds is not None and new.agent._rounds.stopped
-
-
-def test_a_robot_that_gave_way_many_times_still_has_what_it_last_counted() -> None:
-    """Each time it kept what its commit would have led to; that must not take the room of what has counted."""
-    n = 12
-    fleet = Fleet(n=n, program=ENDLESS, safety=SOON).boot_all()
-    lola = fleet.robots[n - 1]
-    fleet.run(20, until=lambda: own(lola) > 0)
-    fleet.run(10.5 * fleet.delta)
-    assert own(lola) == 1 and lola.agent.counters()["gave_way"] >= 20
-    kill(fleet, n - 1)
-    fleet.boot(n - 1)
-    finish(fleet)
-    assert total(fleet.robots[0]) == n * OFTEN
 
 
 def test_when_all_die_at_once_a_new_mission_begins() -> None:

@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.fixtures.fleet import Fleet, Robot
+from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.agent import rounds
-from koordgen.runtime.agent.outbox import MOST_WAITING
 from koordgen.runtime.config.settings import Safety
-from koordgen.runtime.net.ledger import DEPTH
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.program import Event
-from koordgen.runtime.replication.memory import WINDOW
 from tests.runtime.replication.reference import check_visibility, stores
 
 
@@ -24,13 +21,6 @@ def silent(s: State) -> None:
 
 
 SILENT = replace(PROGRAM, events=(Event("Silent", 3, lambda s: True, silent),))  # nothing leaves the robot
-
-
-def members(robot: Robot) -> tuple[int, ...]:
-    """Who counts, by what this robot knows."""
-    replica = robot.agent._replica
-    assert replica is not None
-    return replica.views.view.members
 
 
 def lossy(loss: float) -> Conditions:
@@ -116,17 +106,14 @@ def test_a_robot_out_of_reach_is_left_out_and_comes_back_by_itself() -> None:
     left = fleet.robots[0].agent.round
     fleet.network.cut = lambda sender, receiver: 2 in (sender, receiver)
     fleet.run(8 * fleet.delta)
-    for pid, robot in fleet.robots.items():
+    for robot in fleet.robots.values():
         assert robot.platform.held
         assert all(r.frame is None for r in robot.records if r.round > left + 2)
-        rounds = robot.agent._rounds
-        assert rounds is not None and rounds.lacking == (["alice", "bert", "dora", "emil"] if pid == 2 else ["cleo"])
     fleet.run(22 * fleet.delta)
     cleo = fleet.robots[2]
     for pid, robot in fleet.robots.items():
         if pid != 2:
             assert robot.records[-1].frame is not None and not robot.platform.held
-            assert members(robot) == (0, 0, -1, 0, 0)
             assert len([x for x in robot.lines if "cleo does not count (view 1)" in x]) == 1
     assert cleo.platform.held and cleo.records[-1].round <= left + 1
     commanded = len(cleo.platform.commands)
@@ -134,97 +121,10 @@ def test_a_robot_out_of_reach_is_left_out_and_comes_back_by_itself() -> None:
     healed = fleet.robots[0].agent.round
     fleet.run(30 * fleet.delta)
     for robot in fleet.robots.values():
-        assert members(robot) == (0, 0, 2, 0, 0)
         assert all(r.frame is not None for r in robot.records if r.round > healed + 15)
         assert not robot.platform.held
         assert any("all robots count; cleo is back (view 2)" in x for x in robot.lines)
     assert len(cleo.platform.commands) > commanded
-    check_visibility(fleet)
-
-
-def test_a_short_absence_leaves_nobody_out() -> None:
-    fleet = Fleet(safety=Safety(peer_timeout=10)).boot_all()
-    fleet.run_rounds(20)
-    fleet.network.cut = lambda sender, receiver: 2 in (sender, receiver)
-    fleet.run(8 * fleet.delta)
-    fleet.network.cut = lambda sender, receiver: False
-    healed = fleet.robots[0].agent.round
-    fleet.run(10 * fleet.delta)
-    for robot in fleet.robots.values():
-        assert members(robot) == (0, 0, 0, 0, 0)
-        assert all(r.frame is not None for r in robot.records if r.round > healed + 2)
-    check_visibility(fleet)
-
-
-def test_a_minority_holds_for_as_long_as_it_is_alone_and_costs_no_memory() -> None:
-    fleet = Fleet(conditions=lossy(0.1)).boot_all()
-    fleet.run_rounds(10)
-    left = fleet.robots[0].agent.round
-    fleet.network.cut = lambda sender, receiver: (sender < 2) != (receiver < 2)
-    fleet.run(400 * fleet.delta)
-    for pid, robot in fleet.robots.items():
-        memory = robot.agent._replica.memory if robot.agent._replica else None
-        assert memory is not None and sum(len(log.entries) + len(log.later) for log in memory._logs) < 5 * DEPTH + 20
-        rounds = robot.agent._rounds
-        assert rounds is not None and len(rounds._outbox._waiting) <= MOST_WAITING
-        ran = [r.round for r in robot.records if r.frame is not None]
-        if pid < 2:
-            assert max(ran) <= left + 4 and robot.platform.held
-            assert members(robot) == (0, 0, 0, 0, 0), "two of five decide nothing"
-        else:
-            assert max(ran) > left + 380 and not robot.platform.held
-            assert members(robot) == (-1, -1, 0, 0, 0)
-    assert any("10 rounds in a row not current" in line for line in fleet.robots[0].lines)
-    bert = fleet.robots[1]
-    assert fleet.time.time - bert.clock.true(bert.platform.commands[-1][0]) > 395 * fleet.delta
-    fleet.network.cut = lambda sender, receiver: False
-    healed = fleet.robots[0].agent.round
-    fleet.run(40 * fleet.delta)
-    for robot in fleet.robots.values():
-        assert len(set(members(robot)) - {-1}) == len(set(members(robot)))
-        assert robot.records[-1].frame is not None and robot.agent.round > healed + 30
-    check_visibility(fleet)
-
-
-def test_without_a_majority_anywhere_all_hold_and_go_on_together() -> None:
-    fleet = Fleet(n=4).boot_all()
-    fleet.run_rounds(10)
-    fleet.network.cut = lambda sender, receiver: (sender < 2) != (receiver < 2)
-    fleet.run(100 * fleet.delta)
-    assert all(r.platform.held and members(r) == (0, 0, 0, 0) for r in fleet.robots.values())
-    fleet.network.cut = lambda sender, receiver: False
-    fleet.run(30 * fleet.delta)
-    assert all(r.records[-1].frame is not None and not r.platform.held for r in fleet.robots.values())
-    check_visibility(fleet)
-
-
-def test_two_robots_need_each_other() -> None:
-    fleet = Fleet(n=2, program=SILENT).boot_all()
-    fleet.run_rounds(10)
-    left = fleet.robots[0].agent.round
-    fleet.network.cut = lambda sender, receiver: True
-    fleet.run(100 * fleet.delta)
-    for robot in fleet.robots.values():
-        assert robot.platform.held and members(robot) == (0, 0) and robot.records[-1].round <= left + 2
-    fleet.network.cut = lambda sender, receiver: False
-    fleet.run(10 * fleet.delta)
-    assert all(r.records[-1].frame is not None for r in fleet.robots.values())
-    check_visibility(fleet)
-
-
-def test_a_deaf_robot_bounds_what_the_others_write() -> None:
-    fleet = Fleet(delta=0.02, conditions=Conditions(delay=0.0005, jitter=0.001)).boot_all()
-    fleet.run_rounds(10)
-    fleet.network.cut = lambda sender, receiver: receiver == 4
-    fleet.run((WINDOW + 60) * fleet.delta)
-    bert = fleet.robots[1]
-    assert bert.records[WINDOW // 2].event is not None
-    assert bert.records[-1].skipped == "not current: emil lags behind"
-    memory = bert.agent._replica.memory if bert.agent._replica else None
-    assert memory is not None and all(len(log.entries) <= WINDOW + 2 for log in memory._logs)
-    fleet.network.cut = lambda sender, receiver: False
-    fleet.run(60 * fleet.delta)
-    assert all(r.records[-1].frame is not None for r in fleet.robots.values())
     check_visibility(fleet)
 
 
@@ -236,23 +136,14 @@ def test_a_robot_that_misses_the_start_is_let_in_later() -> None:
     fleet.run(2.0)
     assert fleet.robots[4].agent.round == 0
     fleet.run(3.0)
-    assert all(members(r) == (0, 0, 0, 0, -1) for p, r in fleet.robots.items() if p != 4)
+    assert all("emil does not count (view 1)" in "".join(r.lines) for p, r in fleet.robots.items() if p != 4)
     fleet.network.cut = lambda sender, receiver: False
     fleet.run(4.0)
     emil = fleet.robots[4]
     assert emil.records[0].round > 5
     assert emil.agent.counters()["missed"] > 0
     assert all(r.records[-1].frame is not None for r in fleet.robots.values())
-    assert len({members(r) for r in fleet.robots.values()}) == 1 and members(emil)[4] > 0
-    check_visibility(fleet)
-
-
-def test_one_robot_alone_runs_and_keeps_nothing() -> None:
-    fleet = Fleet(n=1).boot_all()
-    fleet.run_rounds(300)
-    replica = fleet.robots[0].agent._replica
-    assert replica is not None and replica.memory is not None
-    assert len(replica.memory._logs[0].entries) <= 2 and fleet.network.sent == 0
+    assert all("emil is back (view 2)" in "".join(r.lines) for p, r in fleet.robots.items() if p != 4)
     check_visibility(fleet)
 
 
@@ -322,7 +213,6 @@ def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:
     fleet.network.cut = lambda sender, receiver: sender == 0
     fleet.run(20 * fleet.delta)
     alice = fleet.robots[0]
-    assert alice.agent._replica is not None and alice.agent._replica.out
     assert alice.records[-1].skipped == "not current: does not count in the fleet, asks to be let in"
     assert [r.round for r in alice.records] == list(range(1, alice.records[-1].round + 1))
     assert alice.records[-1].round >= alice.agent.round - 1

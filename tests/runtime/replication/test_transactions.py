@@ -108,14 +108,6 @@ def test_who_gives_way_skips_and_does_not_fall_through() -> None:
         assert not robot.held()
 
 
-def test_a_robot_that_tries_alone_counts_in_every_round() -> None:
-    alone = replace(COUNTER, events=(replace(COUNTER.events[0], guard=lambda s: s.pid == 2), COUNTER.events[2]))
-    fleet = Fleet(n=3, program=alone).boot_all()
-    fleet.run_told(8)
-    assert [r.event for r in fleet.robots[2].records[:8]] == ["Count"] * 8
-    assert fleet.robots[2].agent.counters()["gave_way"] == 0
-
-
 def test_transactions_of_different_locks_do_not_give_way_to_each_other() -> None:
     def other(s: State) -> None:
         s.count.value += 1
@@ -128,26 +120,6 @@ def test_transactions_of_different_locks_do_not_give_way_to_each_other() -> None
     fleet.run_told(8)
     for pid, name in enumerate(("Count", "Other")):
         assert [r.event for r in fleet.robots[pid].records[:8]] == [name] * 8
-
-
-def test_a_commit_goes_before_the_plain_writes_of_its_round() -> None:
-    """A plain write of the lowest pid wins over a commit of the highest."""
-
-    def plainly(s: State) -> None:
-        s.last.value = 100
-
-    program = replace(
-        COUNTER,
-        events=(
-            Event("Count", 3, lambda s: s.pid == 2, counts, 0),
-            Event("Plain", 5, lambda s: s.pid == 0, plainly),
-        ),
-    )
-    fleet = Fleet(n=3, program=program).boot_all()
-    fleet.run_told(8)
-    assert [r.round for r in fleet.robots[2].records if r.event == "Count"][:8] == list(range(1, 9))
-    seen = {r.round: r.frame.shared["last"] for r in fleet.robots[0].records if r.frame is not None}
-    assert all(seen[r] == 100 for r in range(2, 9))
 
 
 def test_streams_are_told_and_traced() -> None:
