@@ -20,11 +20,12 @@ from koordgen.runtime.agent.outbox import AHEAD
 from koordgen.runtime.agent.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
 from koordgen.runtime.agent.store import Keeper, Store
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net import courier
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.link import Link, Usuals, as_usual
+from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Closing, Hello, Round, View
 from koordgen.runtime.ops.opening import open_transport
@@ -57,8 +58,8 @@ def open_update(place: Place, native: bool = True) -> Update:
 
 
 def without_courier() -> None:
-    """From now on this process does everything in plain Python, as where there is no compiler."""
-    courier.COMPILED.found = gate.COMPILED.found = "not wanted"
+    """Do everything in Python in this process, as where there is no compiler."""
+    courier.COMPILED.found = "not wanted"
 
 
 def open_link(given: Settings, size: int, transport: Transport, clock: Clock) -> tuple[Link, Memory]:
@@ -70,15 +71,15 @@ def open_link(given: Settings, size: int, transport: Transport, clock: Clock) ->
     link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
     for other in range(n):
         if other != pid:
-            link.sessions.adopt(other, boots[other])
+            link.sessions[other] = PeerSession(boots[other])
     link.epoch = bytes(8)
     inits = [Closing(p, 0, 0, 0) for p in range(n)]
     return link, Memory.begin(Layout(ours.shared, n), pid, View(0, 1, (0,) * n), inits)
 
 
 def _speak(link: Link, pids: Collection[int]) -> set[int]:
-    """Those of whom a datagram has come; of most no message tells."""
-    return {pid for pid in pids if link.sessions.sent[pid] >= 0}
+    """Return those robots from which a datagram has come."""
+    return {pid for pid in pids if link.sessions[pid].sent >= 0}
 
 
 class Update:
@@ -90,8 +91,6 @@ class Update:
         self._other, self._rest, self._transport = 1 - given.pid, "x" * (size - 8), transport
         self._to = [self._other]
         self._link, self._memory = open_link(given, size, transport, clock)
-        self._link.follow(self._memory.view)
-        self._link.attach(self._memory.ledger)
         self._round = self._told = 0
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
@@ -104,17 +103,14 @@ class Update:
         memory.close(round_, {"report": f"{round_:08}{self._rest}"}, stopped=False, acted=True)
         memory.advance(round_ + 1)
         word = (0, round_, memory.applied, memory.settled(), False, memory.held if memory.applied < round_ - 1 else ())
-        if not speech.own(to, word, round_, memory.ledger):
-            speech.round(to, word, memory.own(round_))
-        memory.present(round_, 0)
+        speech.round(to, word, memory.own(round_))
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
         memory, told = self._memory, self._told
         for message in self._link.receive():
-            said = as_usual(message) if isinstance(message, Round) else message
-            if isinstance(said, Usuals):
-                memory.usual(said.rows, said.view, max(self._round, 1))
+            if isinstance(message, Round):
+                memory.receive(message, max(self._round, 1))
         memory.advance(self._round + 1)
         held = self._told = memory.ledger.held[self._other]
         if held > told:

@@ -47,7 +47,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import peers_agents, peers_exchange
 from benchmarks.peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
 from benchmarks.peers_memory import open_memory, open_update, without_courier
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import inbox
 
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"
 WHOLE_MEMORY = "koordgen, full stack"
@@ -374,8 +374,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.plain:
         without_courier()
-    if courier.COMPILED.library() is None:  # else it is compiled by now, for all processes
-        print(f"ours is plain Python: {courier.COMPILED.why()}")
+    if reason := inbox.accelerator():  # else it is compiled by now, for all processes
+        print(f"ours is plain Python: {reason}")
     absent = peers_exchange.missing()
     for text in absent.values():
         print(text)

@@ -10,7 +10,6 @@ from benchmarks import shared_memory
 from benchmarks.fixtures.fleet import Kept
 from benchmarks.peers_agents import settings
 from benchmarks.peers_memory import SharedMemory, Update
-from koordgen.runtime.net.link import Heard, Link, Usuals
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.values.clock import SimulatedClock
@@ -53,45 +52,17 @@ def test_all_updates_of_the_benchmarks_shared_memory_arrive(loss: float) -> None
     assert sum(map(len, missed)) <= 20 * loss * N  # hardly ever is it not made good before the next round
 
 
-def silent(robots: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on usual datagrams are taken where they arrive, and no message tells of them."""
-    receive = Link.receive
-    owners = {robot._link: robot for robot in robots.each}
-
-    def taken(link: Link) -> list[Heard]:
-        left, robot = list[Heard](), owners[link]
-        for message in receive(link):
-            if isinstance(message, Usuals):
-                robot._replica.take(message, max(robot._round, 1))
-            else:
-                left.append(message)
-        return left
-
-    monkeypatch.setattr(Link, "receive", taken)
-
-
-def test_what_comes_without_a_message_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    robots = Robots(0.0)
-    silent(robots, monkeypatch)
-    robots.run(range(COUNT + 1))
-    robots.hear()
-    for pid, heard in enumerate(robots.heard):
-        assert sorted(heard) == [(other, r) for other in range(N) if other != pid for r in range(COUNT + 1)]
-    assert not any(robot.missed for robot in robots.each)
-
-
 def test_a_round_that_is_complete_when_it_is_closed_is_found_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     robots = Robots(0.0)
-    silent(robots, monkeypatch)
     robots.run(range(3))
     *others, last = robots.each
     for other in others:
         other.publish(3)
     robots.clock.time += 0.0005
-    last._link.receive()  # as the gate does, while the courier waits for the tick
+    assert last.take(0.0) == [(0, 3), (1, 3)]
     last.publish(3)
     monkeypatch.setattr(last._transport, "wait", lambda *_: pytest.fail("waits, and nothing more will come"))
-    assert last.take(DELTA) == [(0, 3), (1, 3)]
+    last.take(0.0)
     assert last._replica.memory is not None and last._replica.memory.applied == 3
 
 

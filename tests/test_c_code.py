@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net import courier
 from targets.car.control.solver import compiled
 
 ROOT = Path(__file__).parents[1]
-FLAGS = {courier.SOURCE: courier.FLAGS, gate.SOURCE: gate.FLAGS, compiled.SOURCE: compiled.FLAGS}
+FLAGS = {courier.SOURCE: courier.FLAGS, compiled.SOURCE: compiled.FLAGS}
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
 
 

@@ -15,7 +15,6 @@ from typing import Any, cast
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.agent.store import KEPT
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.ledger import Ledger
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.wire import Closing, Decided, Head, Message, Round, View
 from koordgen.runtime.program.program import Effects, Life, Variable
@@ -86,16 +85,6 @@ class Wire:
         self, to: Collection[int], word: Sequence[Any], closings: Sequence[Closing], partly: object = None
     ) -> None:
         self._flights.extend(Flight(p, _round(self._head, *word, tuple(closings))) for p in to)
-
-    def own(self, *_: object) -> bool:
-        """Words take the long way."""
-        return False
-
-    def follow(self, view: View) -> None:
-        """There is no gate that must know it."""
-
-    def attach(self, ledger: Ledger | None) -> None:
-        """Nor one that would note anything."""
 
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)

@@ -51,9 +51,7 @@ class StandIn:
         why = None if event else "no event enabled"
         self.recent.round(Record(number, now, 0.002, {}, None, event, effects, why))
         self.metrics.round(number, 0.002, event, why, True)
-        for peer in range(len(self.peers)):
-            if peer != self.pid:
-                self.metrics.heard(peer, 1, 0.004, now)
+        self.metrics.heard([(peer, 1, 0.004) for peer in range(len(self.peers)) if peer != self.pid], now)
         fence = [[p.x, p.y, p.z] for p in (FENCE.lo, FENCE.hi)]
         return {
             "boot": f"{self.pid:016x}", "app": "show", "release": "a" * 32, "robot": self.name, "pid": self.pid,

@@ -213,7 +213,7 @@ class Joining:
         return "" if self.inside else "; ".join(self._absent())
 
     def _absent(self) -> list[str]:
-        silent = [self._names[p] for p in self._others if p not in self._link.sessions.boots]
+        silent = [self._names[p] for p in self._others if p not in self._link.sessions]
         elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
         parts = []
         if elsewhere:
@@ -229,7 +229,7 @@ class Joining:
         if self._start is not None:
             return ""
         absent = self._absent()
-        unready = [self._names[p] for p, o in self._others.items() if p in self._link.sessions.boots and o.init is None]
+        unready = [self._names[p] for p, o in self._others.items() if p in self._link.sessions and o.init is None]
         deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
         parts = ["coming back to the mission"] if self._returning else []
         parts += absent
@@ -277,7 +277,7 @@ class Joining:
 
     def _agree(self) -> None:
         if self._start is None and self._inits() is not None:
-            boots = self._link.sessions.boots | {self._pid: self._link.boot}
+            boots = {p: s.boot for p, s in self._link.sessions.items()} | {self._pid: self._link.boot}
             self._link.epoch = epoch_of([boots[p] for p in sorted(boots)])
             if self._link.epoch not in self._announced:
                 self._announced.append(self._link.epoch)

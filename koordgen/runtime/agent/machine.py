@@ -19,10 +19,10 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.monitor.monitor import Cpu, Monitors
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.link import Heard, Link
+from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Closing, Hello, View, encoder
+from koordgen.runtime.net.wire import Closing, Hello, Message, View, encoder
 from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
 from koordgen.runtime.program.program import Fault, Life, Program
@@ -226,7 +226,7 @@ class Agent:
         self._begin_rounds(now)
         return wake
 
-    def _hear(self, messages: Sequence[Heard], fleet: float | None) -> None:
+    def _hear(self, messages: Sequence[Message], fleet: float | None) -> None:
         """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
         for message in messages:
             if isinstance(message, Hello):

@@ -26,7 +26,7 @@ from typing import Any, TextIO
 from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
 from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import BadSettings, Settings
-from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
@@ -87,9 +87,8 @@ def main(
             return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
-        reasons = courier.COMPILED.why(), gate.COMPILED.why()  # and so may compiling
-        if any(reasons):
-            _say("warning", f"updates take longer to arrive than they could: {reasons[0] or reasons[1]}")
+        if reason := inbox.accelerator():  # and so may compiling
+            _say("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)

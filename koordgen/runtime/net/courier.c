@@ -1,8 +1,8 @@
 /* The courier of one robot's process: waits for datagrams, drains its sockets, and sends from the first of them.
 
    It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, and writes only where its
-   caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests compare the two.
-   The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
+   caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; the same
+   tests run against both. courier.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
 
    C99, POSIX, and Linux's recvmmsg. */
 
@@ -35,15 +35,10 @@ static const unsigned long SLACK = 1000;  /* by which a sleep may end later than
 static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 
-/* Judges slots from the first of these on, of `used`, that came by `local` seconds: how many more datagrams the caller of
-   courier_wait waits for, where nobody else need look at any of the slots; 0: it wants to go on; -1: it must look. */
-typedef int32_t Judge(void *judging, int32_t first, int32_t used, double local);
-
 typedef struct { /* what courier.py reads and writes, field by field */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
     int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
     int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
-    int32_t judged;                     /* slots, from the first on */
     int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
     int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
 } Shown;
@@ -51,8 +46,6 @@ typedef struct { /* what courier.py reads and writes, field by field */
 typedef struct {
     Shown shown;
     uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
-    Judge *judge;                         /* or NULL */
-    void *judging;                        /* what it is called with */
     int32_t looked;                       /* whether the last wait looked what is at the sockets */
     int32_t shares;                       /* whether others of the group are on this computer */
     int32_t sockets;
@@ -72,9 +65,6 @@ static int64_t now(void) {
     clock_gettime(CLOCK_MONOTONIC, &t);
     return t.tv_sec * SECOND + t.tv_nsec;
 }
-
-/* Python's time.monotonic, in seconds. */
-double courier_clock(void) { return (double)now() / (double)SECOND; }
 
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
@@ -262,31 +252,13 @@ static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
 }
 
 /* The slots are free again. */
-static void empty(Shown *shown) { shown->used = shown->arrived = shown->judged = 0; }
-
-/* Have judged what has come. Returns how many more to wait for; 0: none. Slots that nobody else need look at are free
-   again. */
-static int32_t judged(Inbox *inbox) {
-    Shown *shown = &inbox->shown;
-    if (!inbox->judge || !shown->arrived || shown->errors) return 0;
-    const int32_t more = inbox->judge(inbox->judging, shown->judged, shown->used, courier_clock());
-    if (more < 0) return 0;
-    empty(shown);
-    return more;
-}
-
-/* By whom is judged what comes while the caller waits; NULL: nobody. */
-void courier_listen(Inbox *inbox, Judge *judge, void *judging) {
-    inbox->judge = judge;
-    inbox->judging = judging;
-}
+static void empty(Shown *shown) { shown->used = shown->arrived = 0; }
 
 /* So many are to be taken; -1: there are errors, too. */
 static int32_t found(const Inbox *inbox) { return inbox->shown.errors ? -1 : inbox->shown.arrived; }
 
 /* See Transport.wait; both durations are in microseconds. What was found before is kept, and counts, if it was not taken.
-   Where what comes is judged, and nobody need look at it, the wait goes on for what is still missing. Ends early when a
-   signal comes. Returns what it has found. */
+   Ends early when a signal comes. Returns what it has found. */
 int32_t courier_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t duration, int32_t patience) {
     Shown *shown = &inbox->shown;
     int64_t begin = now(), end = begin + MICROSECOND * duration, until = least(end, begin + MICROSECOND * patience);
@@ -295,11 +267,7 @@ int32_t courier_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t dura
     if (!keep) empty(shown);
     inbox->looked = 0;
     if (look) drain(inbox);
-    for (; expected; begin = now()) {
-        if (expected > 1 && !gather(inbox, expected, begin, until)) break;
-        if (!wait_for(inbox, 1, end)) break;
-        expected = judged(inbox);
-    }
+    if (expected <= 1 || gather(inbox, expected, begin, until)) wait_for(inbox, 1, end);
     return found(inbox);
 }
 

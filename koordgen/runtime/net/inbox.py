@@ -1,5 +1,8 @@
-"""What arrives at a robot's sockets and leaves from them: waiting for it, taking it, sending. In Python;
-`courier.CompiledInbox` is the same as C."""
+"""Socket batch I/O of one robot: waiting for datagrams, receiving them by the batch, sending.
+
+`PythonInbox` is the implementation in Python and documents the interface. `courier.CompiledInbox` is the same in C;
+`open_inbox` alone chooses between the two.
+"""
 
 from __future__ import annotations
 
@@ -12,55 +15,62 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.net.courier import (
-    COMPILED,
-    GROUP,
-    IN_TURN,
-    LARGEST,
-    MOST_AT_ONCE,
-    MOST_ECHOES,
-    Address,
-    CompiledInbox,
-)
+from koordgen.runtime.net import courier
+from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-NAP = 20e-6  # seconds for each datagram that is missing
+NAP = 20e-6  # seconds slept for each datagram that is missing
 
 
 class Inbox(Protocol):
     """Of one thread. No call raises."""
 
     def address(self, place: int, address: Address) -> None:
-        """Where a place is: a robot's, by its pid, or GROUP."""
+        """Set the address of a place: a robot's pid, or GROUP."""
         ...
 
     def send(self, place: int, datagram: bytes) -> int:
-        """From the first of its sockets, without blocking; what goes to the group comes back, and the inbox drops it
-        then; if it `shares` the computer, others go first after that. Returns 0, or errno: it was not sent."""
+        """Send from the first socket, without blocking. Returns 0, or errno: it was not sent.
+
+        A datagram to the group comes back once, and the inbox drops it then. After such a send the inbox yields the
+        core if it `shares` the computer with other robots: all wait for the last of them.
+        """
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         """See Transport. What comes while the time runs out may be left for the next call."""
         ...
 
-    def receive(self) -> Sequence[bytes]:
+    def receive(self) -> list[bytes]:
         """See Transport."""
         ...
 
     def close(self) -> None:
-        """Before its sockets are."""
+        """Stop using the sockets; call it before they are closed."""
         ...
 
 
-def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], native: bool, shares: bool) -> Inbox:
-    """Of sockets that do not block; `trouble` gets the errno of what went wrong when receiving; `shares`: others of the
-    group are on this computer. Compiled, if `native` and there is a compiler."""
-    found = COMPILED.library() if native else None
+def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool) -> Inbox:
+    """Return the inbox of non-blocking sockets: in C where it can be compiled.
+
+    `trouble` gets the errno of each failure to receive. `shares`: other robots of the group are on this computer.
+    """
+    found = courier.COMPILED.library()
     if found is None:
-        return PlainInbox(sockets, trouble, shares)
-    return CompiledInbox(found, [each.fileno() for each in sockets], trouble, shares)
+        return PythonInbox(sockets, trouble, shares)
+    return courier.CompiledInbox(found, sockets, trouble, shares)
 
 
-class PlainInbox:
+PYTHON_COSTS = "sockets are read by Python, which takes about 30 % more CPU a round and delays updates by as much"
+
+
+def accelerator() -> str:
+    """Return why inboxes are not in C; empty when they are. The first call in a process may compile for 0.3 s."""
+    return courier.COMPILED.why()
+
+
+class PythonInbox:
+    """Inbox in Python: see Inbox."""
+
     def __init__(self, sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool = False) -> None:
         self._trouble, self._shares = trouble, shares
         self._poll = select.poll()
@@ -80,13 +90,13 @@ class PlainInbox:
             return errno.EBADF
         if place not in self._addresses:
             return errno.EDESTADDRREQ
-        if place == GROUP:  # also when it fails: the system may have given it back by then
+        if place == GROUP:  # also when it fails: the system may have returned it by then
             self._echoes.append(datagram)
         try:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # all wait for the last of those that share the core and have not sent
+        if place == GROUP and self._shares:  # all wait for the last robot on this core that has not sent
             os.sched_yield()
         return 0
 
@@ -119,7 +129,7 @@ class PlainInbox:
         return bool(self._arrived) or self._troubled
 
     def _ready(self, seconds: float) -> bool:
-        """Whether something is at a socket within that time."""
+        """Return whether a datagram is at a socket within that time."""
         # poll takes milliseconds and rounds up: the last of them is select's, or rounds would begin late.
         end = time.monotonic() + seconds
         if seconds >= 0.001 and self._poll.poll(int(seconds * 1000)):
@@ -133,10 +143,10 @@ class PlainInbox:
             if not ready:
                 return
             for number, _ in ready:
-                self._take(self._sockets[number])
+                self._read(self._sockets[number])
 
-    def _take(self, source: socket.socket) -> None:
-        """What waits there, until it is the turn of others."""
+    def _read(self, source: socket.socket) -> None:
+        """Receive what waits at one socket, at most IN_TURN datagrams: then it is another socket's turn."""
         try:
             for _ in range(min(IN_TURN, MOST_AT_ONCE - len(self._arrived))):
                 datagram = source.recv(LARGEST)
@@ -144,12 +154,12 @@ class PlainInbox:
                     self._arrived.append(datagram)
         except BlockingIOError:
             pass
-        except OSError as error:  # an earlier send's, nothing about what waits
+        except OSError as error:  # of an earlier send; it says nothing about what waits
             self._troubled = True
             self._trouble(error.errno or 0)
 
     def _is_echo(self, datagram: bytes) -> bool:
-        """Whether it is our own: each comes back once, and its sequence number makes it unlike all others."""
+        """Return whether a datagram is our own. Each comes back once, and no two are alike."""
         if datagram not in self._echoes:
             return False
         self._echoes[self._echoes.index(datagram)] = None

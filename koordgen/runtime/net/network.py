@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 
-from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.transport import MOST_AT_ONCE
 from koordgen.runtime.net.wire import LIMIT
 from koordgen.runtime.values.clock import Clock
 

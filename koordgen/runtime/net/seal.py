@@ -1,7 +1,7 @@
 """Authentication of everything that arrives over a network: keyed BLAKE2s over the whole datagram.
 
-Nothing of a datagram is looked at before `unseal` accepted it. `purpose` keeps a datagram of one protocol from being
-played into another that has the same key.
+No caller reads a datagram before `unseal` has accepted it. `purpose` separates protocols that share a key: a datagram
+of one protocol is not authentic in another.
 """
 
 from __future__ import annotations
@@ -50,15 +50,12 @@ def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
 
 
 def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
-    """The payload of a genuine datagram, or None."""
-    payload = datagram[:-MAC_SIZE]
-    state = _keyed(key or b"", purpose).copy()
-    state.update(payload)
-    return payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None
+    """Return the payload of an authentic datagram, or None."""
+    return unseal_all(key, purpose, (datagram,))[0]
 
 
 def unseal_all(key: bytes | None, purpose: bytes, datagrams: Sequence[bytes]) -> list[bytes | None]:
-    """`unseal` of each."""
+    """Return the payload of each authentic datagram, and None for each other one."""
     keyed, found = _keyed(key or b"", purpose).copy, list[bytes | None]()
     for datagram in datagrams:
         payload = datagram[:-MAC_SIZE]

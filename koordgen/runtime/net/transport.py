@@ -1,58 +1,49 @@
-"""How datagrams get from robot to robot: the interface."""
+"""Transport of datagrams from robot to robot: the interface, and the limits that all transports have."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol
 
-if TYPE_CHECKING:  # it is made of what this module has
-    from koordgen.runtime.net.courier import CompiledInbox
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS
+
+MOST_AT_ONCE = 1024  # datagrams received in one call: a flood must not keep the robot from its control loop
+LARGEST = LIMIT + 1  # bytes kept of a datagram: more than LIMIT tells that it was too long
+IN_TURN = 64  # datagrams received from one socket before another is looked at
+MOST_ECHOES = 16  # own datagrams that are on their way back from the group; more than one round sends
+GROUP = MAX_ROBOTS  # the place of the group; the places before it are the robots', by pid
+Address = tuple[str, int] | tuple[str, int, int, int]  # of IPv4, of IPv6, as Python's sockets have it
 
 
 class Transport(Protocol):
-    """Unreliable datagrams between pids. No call blocks or raises, before and after `close`. Who sent a datagram is
-    not looked at here: its MAC decides."""
+    """Unreliable datagrams between pids. No call but `wait` blocks, none raises, before and after `close`.
+
+    A datagram's sender is not looked at here: its MAC decides.
+    """
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        """To those named; what goes to several may be heard by all others too, but never by the sender."""
+        """Send to the robots named. What goes to several may reach all others too, but never the sender."""
         ...
 
     def receive(self) -> Sequence[bytes]:
-        """What has arrived since, as far as possible in order of arrival; a bounded number, each of at most LIMIT + 1
-        bytes: more than LIMIT tells that it was too long."""
+        """Return what has arrived since the last call, as far as possible in order of arrival: at most MOST_AT_ONCE
+        datagrams of at most LARGEST bytes."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Let `expected` datagrams come for `gather` seconds, if it is several; then wait until there is at least one,
-        but not longer than `seconds` in all. What the robot itself sent to a group does not count.
+        """Gather `expected` datagrams for `gather` seconds, if it is several; then wait until there is at least one,
+        but not longer than `seconds` in all. The robot's own datagrams to a group do not count.
 
-        Some of the time may go into looking for one without sleep. Ends early when the process gets a signal."""
+        Part of the time may be spent polling. Ends early when the process gets a signal.
+        """
         ...
 
     @property
     def troubles(self) -> dict[str, int]:
-        """What went wrong so far, counted by its reason."""
+        """Failures so far, counted by their reason."""
         ...
 
     def close(self) -> None: ...
-
-
-@runtime_checkable
-class Coupled(Protocol):
-    """A transport of which compiled code may be part: it sends, and hears, without Python's seeing the datagram."""
-
-    @property
-    def courier(self) -> CompiledInbox | None:
-        """What it sends and waits with, as long as it lives, also when it is closed; None: nothing compiled."""
-        ...
-
-    def place(self, to: Sequence[int]) -> int:
-        """Where `send` would send one datagram; -1: nothing, or several."""
-        ...
-
-    def failed(self, error: int) -> None:
-        """Count this errno, as `send` would."""
-        ...
 
 
 class CannotOpen(Exception):

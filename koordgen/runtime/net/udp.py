@@ -11,16 +11,14 @@ from ipaddress import AddressValueError, IPv4Address
 from typing import cast
 
 from koordgen.runtime.config.settings import Network, Peer
-from koordgen.runtime.net.courier import GROUP, Address, CompiledInbox
 from koordgen.runtime.net.inbox import open_inbox
-from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.net.transport import GROUP, Address, CannotOpen
 
 RECEIVE_BUFFER = 1 << 20
 
 
 class UnicastTransport:
-    """One socket, on the robot's own address. `native`: with the courier, where it can be compiled. Raises
-    CannotOpen."""
+    """One socket, on the robot's own address. Raises CannotOpen."""
 
     def __init__(
         self,
@@ -28,7 +26,6 @@ class UnicastTransport:
         pid: int,
         bind: str = "",
         family: socket.AddressFamily = socket.AF_UNSPEC,
-        native: bool = True,
     ) -> None:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
@@ -36,7 +33,6 @@ class UnicastTransport:
         self.troubles: dict[str, int] = {}
         hosts = [address[0] for address in self._addresses.values()]
         self._shares = hosts.count(hosts[pid]) > 1  # this computer, with other robots
-        self._native = native
         self._sockets: list[socket.socket] = []
         self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, where robot {own.name} listens")
         self._open_inbox()
@@ -48,23 +44,13 @@ class UnicastTransport:
         if self._shares and len(to) > 1:
             os.sched_yield()  # as after what goes to a group: see Inbox.send
 
-    @property
-    def courier(self) -> CompiledInbox | None:
-        return self._inbox if isinstance(self._inbox, CompiledInbox) else None
-
-    def place(self, to: Sequence[int]) -> int:
-        return to[0] if len(to) == 1 else -1
-
-    def failed(self, error: int) -> None:
-        self._count("send", error)
-
     def close(self) -> None:
         self._inbox.close()
         self._close_sockets()
 
     def _open_inbox(self) -> None:
         """One for all sockets; the robot's own is the first, which it sends from."""
-        self._inbox = open_inbox(self._sockets, self._received_badly, self._native, self._shares)
+        self._inbox = open_inbox(self._sockets, self._received_badly, self._shares)
         for place, address in self._addresses.items():
             self._inbox.address(place, address)
         self.wait, self.receive = self._inbox.wait, self._inbox.receive
@@ -103,11 +89,11 @@ class GroupTransport(UnicastTransport):
     broadcast address, on a port that all robots share; what goes to one goes to it alone. Robots of one host hear each
     other too, and a robot's own datagrams, which come back to it, are dropped. IPv4 only. Raises CannotOpen."""
 
-    def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network, native: bool = True) -> None:
+    def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network) -> None:
         multicast = network.transport == "multicast"
         place = f"{network.group}:{network.port}, the {network.transport} group of robot {peers[pid].name}"
         _check_group(network, place)
-        super().__init__(peers, pid, bind, socket.AF_INET, native)
+        super().__init__(peers, pid, bind, socket.AF_INET)
         self._group = self._addresses[GROUP] = (network.group, network.port)
         group = self._listen(socket.AF_INET, self._group, place, shared=True)
         try:
@@ -128,9 +114,6 @@ class GroupTransport(UnicastTransport):
             super().send(to, datagram)
         elif error := self._inbox.send(GROUP, datagram):
             self._count("send", error)
-
-    def place(self, to: Sequence[int]) -> int:
-        return GROUP if len(to) > 1 else super().place(to)
 
     def _join(self, group: socket.socket, interface: str) -> None:
         """Listen and send on one interface, given by its address or its name. Raises OSError."""

@@ -7,12 +7,13 @@ and ranges; `link`, `memory` and `views` do.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hashlib import blake2s
 from typing import Annotated
 
 import msgspec
 
-from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal, unseal
+from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal, unseal_all
 
 WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
@@ -270,24 +271,29 @@ def encode(message: Message, key: bytes | None) -> bytes:
 
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
-    """The message, or why there is none. Nothing is looked at before the MAC was found right. Never raises."""
-    return opened(len(datagram), unseal(key, MEMORY, datagram))
+    """Return the message in a datagram, or why there is none."""
+    return decode_all((datagram,), key)[0]
 
 
-def opened(length: int, payload: bytes | None) -> Message | str:
-    """The message in a datagram of `length` bytes of which this is the payload (None: it is not genuine), or why there
-    is none. Never raises."""
-    if length > LIMIT:
-        return "oversize"
-    if payload is None:
-        return "not authentic"
-    if payload[:1] != _FORMAT:
-        return "another format version"
-    try:
-        message: Message = _decoder.decode(payload[1:])  # closings keep these bytes, a view would keep three objects
-    except (ValueError, RecursionError):
-        return "malformed"
-    return message
+def decode_all(datagrams: Sequence[bytes], key: bytes | None) -> list[Message | str]:
+    """Return the message in each datagram, or why there is none. Nothing is read before its MAC was verified.
+
+    Never raises. A closing keeps the payload that it arrived in alive; slices of a view would keep three objects.
+    """
+    decoded, found = _decoder.decode, list[Message | str]()
+    for datagram, payload in zip(datagrams, unseal_all(key, MEMORY, datagrams), strict=True):
+        if len(datagram) > LIMIT:
+            found.append("oversize")
+        elif payload is None:
+            found.append("not authentic")
+        elif payload[0] != WIRE_FORMAT:
+            found.append("another format version")
+        else:
+            try:
+                found.append(decoded(payload[1:]))
+            except (ValueError, RecursionError):
+                found.append("malformed")
+    return found
 
 
 def closing_of(blob: bytes) -> Closing | None:

@@ -12,8 +12,7 @@ from collections.abc import Callable, Sequence
 import zenoh
 
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.net.courier import MOST_AT_ONCE
-from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.net.transport import MOST_AT_ONCE, CannotOpen
 from koordgen.runtime.net.wire import LIMIT
 
 MOST_WAITING = 4096  # datagrams; what comes beyond is dropped, as by a socket's buffer

@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 from koordgen.runtime.config.settings import BadSettings, Peer, Settings
-from koordgen.runtime.net import courier, gate
+from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
@@ -90,14 +90,14 @@ def _program(program: Program, settings: Settings) -> Finding:
 
 
 def _compiled() -> Finding:
-    """The C code of the shared memory is compiled here and kept, so that the first mission does not wait for it."""
+    """Compile the C code of the socket I/O and keep it, so that the first mission does not wait for the compiler."""
     began = time.perf_counter()
-    reasons = courier.COMPILED.why(), gate.COMPILED.why()
+    reason = inbox.accelerator()
     took = 1e3 * (time.perf_counter() - began)
-    if any(reasons):
-        why = "all works, and updates take longer to arrive: install a C compiler (`apt install gcc`)"
-        return Finding("compiled", "warn", reasons[0] or reasons[1], "courier and gate as C", why)
-    return Finding("compiled", "ok", f"courier and gate as C, loaded in {took:.0f} ms")
+    if reason:
+        why = f"{inbox.PYTHON_COSTS}: install a C compiler (`apt install gcc`)"
+        return Finding("compiled", "warn", reason, "socket I/O in C", why)
+    return Finding("compiled", "ok", f"socket I/O in C, loaded in {took:.0f} ms")
 
 
 def _key(settings: Settings) -> tuple[bytes | None, Finding]:

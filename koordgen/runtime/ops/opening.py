@@ -33,14 +33,13 @@ def open_key(settings: Settings) -> bytes | None:
     return None
 
 
-def open_transport(settings: Settings, native: bool = True) -> Transport:
-    """The transport that the settings name; the optional package is imported only for its own. `native`: with the
-    courier, where it can be compiled. Raises CannotOpen."""
+def open_transport(settings: Settings) -> Transport:
+    """The transport that the settings name; the optional package is imported only for its own. Raises CannotOpen."""
     network = settings.network
     if network.transport == "unicast":
-        return UnicastTransport(settings.peers, settings.pid, settings.bind, native=native)
+        return UnicastTransport(settings.peers, settings.pid, settings.bind)
     if network.transport != "zenoh":
-        return GroupTransport(settings.peers, settings.pid, settings.bind, network, native)
+        return GroupTransport(settings.peers, settings.pid, settings.bind, network)
     try:
         from koordgen.runtime.net.zenoh_transport import ZenohTransport
     except ImportError as error:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from koordgen.runtime.net.ledger import DEPTH, Ledger
-from koordgen.runtime.net.wire import Closing, Write, closing_of
+from koordgen.runtime.net.ledger import Ledger
+from koordgen.runtime.net.wire import Closing, Write
 
 GAPS = 64  # closings kept while one before them is missing
 
 Values = Sequence[tuple[int, Any]]
-Read = Callable[[Closing], Values | None]
 
 
 class Entry(msgspec.Struct, frozen=True, gc=False):
@@ -62,53 +61,25 @@ def _joined(before: Closing, closing: Closing) -> Closing | None:
 
 class Log:
     """`entries` are without a gap up to `held` (from some round on that everyone holds), `later`, by their first round,
-    beyond a gap. Those above the `floor` of a `ledger` are there, as they came, until someone asks for more than the
-    next round: then `read` finds what is in each, and `misfit` is called when one, and so those behind it, does not fit
-    and is dropped."""
+    beyond a gap."""
 
-    __slots__ = ("_ledger", "_pid", "_read", "kept", "later", "misfit")
+    __slots__ = ("_ledger", "_pid", "entries", "later")
 
-    def __init__(self, ledger: Ledger, pid: int, read: Read, misfit: Callable[[], None]) -> None:
+    def __init__(self, ledger: Ledger, pid: int) -> None:
         self._ledger, self._pid = ledger, pid
-        self._read, self.misfit = read, misfit
-        self.kept: list[Entry] = []
+        self.entries: list[Entry] = []
         self.later: dict[int, Entry] = {}
 
     @property
     def held(self) -> int:
         return self._ledger.held[self._pid]
 
-    @property
-    def entries(self) -> list[Entry]:
-        self.fetch()
-        return self.kept
-
     def __len__(self) -> int:
-        ledger, pid = self._ledger, self._pid
-        return len(self.kept) + min(DEPTH, ledger.held[pid] - ledger.floor[pid])
-
-    def fetch(self) -> None:
-        """Take the closings that are in the ledger."""
-        ledger, pid = self._ledger, self._pid
-        if ledger.floor[pid] == ledger.held[pid]:
-            return
-        rows = ledger.rows(pid)
-        held = ledger.held[pid] - len(rows)
-        for text in rows:
-            closing = closing_of(text)
-            values = None if closing is None else self._read(closing)
-            if closing is None or values is None:
-                self._reach(held)
-                self.misfit()
-                return
-            if closing.round > held:  # else it is in the row of an earlier round, too
-                self._join(Entry(_since(closing, held + 1), values))
-                held = closing.round
+        return len(self.entries)
 
     def _reach(self, held: int) -> None:
-        """Nothing is in the ledger, and this is held."""
         ledger, pid = self._ledger, self._pid
-        ledger.held[pid] = ledger.floor[pid] = held
+        ledger.held[pid] = held
         ledger.gap[pid] = bool(self.later)
 
     def take(self, entry: Entry) -> None:
@@ -130,14 +101,13 @@ class Log:
 
     def append(self, entry: Entry) -> None:
         """Keep a closing that begins where `held` ends."""
-        self.fetch()
         closing = _since(entry.closing, self.held + 1)
         self._join(entry if closing is entry.closing else Entry(closing, entry.values))
         self._reach(closing.round)
 
     def _join(self, entry: Entry) -> None:
         """Keep what comes next; silence is joined to silence."""
-        entries = self.kept
+        entries = self.entries
         both = _joined(entries[-1].closing, entry.closing) if entries else None
         if both is None:
             entries.append(entry)
@@ -153,37 +123,14 @@ class Log:
         return entries[bisect_left(entries, round_, key=lambda e: e.closing.round)]
 
     def between(self, low: int, high: int) -> list[Closing]:
-        """The closings of these rounds, as far as they are held and not forgotten. Those in the ledger stay there: whom
-        they are sent to lacks them, but for this robot they are as usual as before."""
-        kept = self.kept
-        found = [e.closing for e in kept[bisect_left(kept, low, key=lambda e: e.closing.round) :]]
-        for closing in self._peek(low):
-            if closing is None:
-                self.fetch()
-                return self.between(low, high)
-            both = _joined(found[-1], closing) if found else None
-            if both is None:
-                found.append(closing)
-            else:
-                found[-1] = both
+        """The closings of these rounds, as far as they are held and not forgotten."""
+        entries = self.entries
+        found = [e.closing for e in entries[bisect_left(entries, low, key=lambda e: e.closing.round) :]]
         return [_since(closing, low) for closing in found if closing.first <= high]
 
-    def _peek(self, low: int) -> Iterator[Closing | None]:
-        """The closings in the ledger, those of rounds from `low` on; last None, where the next does not fit."""
-        ledger, pid = self._ledger, self._pid
-        last = max(ledger.floor[pid], low - 1)
-        for text in ledger.peek(pid, low):
-            closing = closing_of(text)
-            if closing is None or self._read(closing) is None:
-                yield None
-                return
-            if closing.round > last:  # else it is in the row of an earlier round, too
-                yield _since(closing, last + 1)
-                last = closing.round
-
     def forget(self, through: int) -> None:
-        """Drop what ends by a round; what is in the ledger goes by itself."""
-        entries = self.kept
+        """Drop what ends by a round."""
+        entries = self.entries
         if entries:
             count = through + 1 - entries[0].closing.first  # where each is of one round
             if not 0 < count <= len(entries) or entries[count - 1].closing.round != through:
@@ -204,7 +151,6 @@ class Log:
     def skip(self, last: int) -> None:
         """Take the rounds up to `last` for held: their author did not count."""
         if last > self.held:
-            self.fetch()
             self._reach(last)
         self._absorb()
 

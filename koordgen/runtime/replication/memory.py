@@ -6,20 +6,16 @@ all have. A round is stable once a majority has said to have applied it: no late
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from koordgen.runtime.net.gate import Usual
-from koordgen.runtime.net.layout import PATCH_FROM, Layout
-from koordgen.runtime.net.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
-from koordgen.runtime.net.wire import Closing, State, View, encoder
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.ledger import LACKING, SETTLED, Ledger
+from koordgen.runtime.net.wire import Closing, Round, State, View
 from koordgen.runtime.replication.log import GAPS, Entry, Log, detached
-from koordgen.runtime.replication.outcome import Past, all_alike, all_of, counting
+from koordgen.runtime.replication.outcome import Past, all_of, counting
 from koordgen.runtime.replication.views import Course
 from koordgen.runtime.replication.words import Words
-
-_encode = encoder.encode
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
@@ -48,16 +44,14 @@ class Memory:
         n = self._n = layout.n_sys
         self.ledger = Ledger(pid, n, applied)
         self._number = self.ledger.number  # LACKING: members whose closing of round applied + 1 is not here
-        self._logs = [Log(self.ledger, p, layout.read, self._drop) for p in range(n)]
+        self._logs = [Log(self.ledger, p) for p in range(n)]
         self._words = Words(self.ledger)
         self.frozen = False
-        self._misfits = 0  # closings that the gate took, and that do not fit
         self._forgotten = 0  # what all hold was dropped up to here
         self.applied = applied  # `shared` is S_{applied + 1}
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
-        self.closed = 0, 0  # the rounds of the last own closing
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         self._past = Past(applied, shared, self.acted)
@@ -126,23 +120,12 @@ class Memory:
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
         memory = Memory(self._layout, self._pid, view, known[0], last, stopped, known[1])
         memory.ledger, memory._number, memory._logs, memory._words = self.ledger, self._number, self._logs, self._words
-        for log in memory._logs:
-            log.misfit = memory._drop
         memory._words.renew()
         memory._forget(self.view, view)
         for log in memory._logs:
             log.skip(last)  # also of those who did not count
         memory._look()
         return memory
-
-    def present(self, round_: int, tick: int) -> None:
-        """What the gate notes from now on is heard in this round and at this tick."""
-        self._number[LAST], self._number[TICK] = round_ + AHEAD, tick
-
-    def misfits(self) -> int:
-        """How many closings were dropped, since this was asked last, because they did not fit after all."""
-        found, self._misfits = self._misfits, 0
-        return found
 
     def adopt(self, view: View) -> None:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
@@ -170,12 +153,7 @@ class Memory:
         if single and round_ > before + 1:
             self.close(before := round_ - 1, {}, stopped=stopped)
         first = round_ if single else before + 1
-        self.closed = first, round_
-        incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
-        if plain is not None:
-            row = _encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
-            if len(row) <= PATCH_FROM and self.ledger.close(row):  # so no value in it is one that goes as a patch
-                return  # nearly always
+        incarnation = self.view.members[self._pid]
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
         self._logs[self._pid].take(Entry(closing, values or ()))
@@ -185,11 +163,6 @@ class Memory:
         """More of an author's closings is held than `before`."""
         if before <= self.applied < self.ledger.held[author] and author in self._course.members:
             self._number[LACKING] -= 1
-
-    def _drop(self) -> None:
-        """A closing that the gate took does not fit."""
-        self._misfits += 1
-        self._count()
 
     def take(self, closing: Closing, present: int) -> str | None:
         """Take a closing heard in round `present`; None, or why it is refused. A known one is no news, no error."""
@@ -221,27 +194,19 @@ class Memory:
         self._heard(author, before)
         return None
 
-    def usual(self, rows: Sequence[Usual], view: int, present: int) -> list[str]:
-        """`take` and `heard` for each of many datagrams from robots in this view; what was refused. Of nearly all only
-        the few steps are left that make a difference."""
-        refused: list[str | None] = []
-        single = self._course.single and view == self.view.number
-        logs, members, held, last = self._logs, self.view.members, self.ledger.held, present + AHEAD
-        for row in rows:
-            sender, round_, applied, settled = row.sender, row.round, row.applied, row.settled
-            through = round_ - 1 if round_ else 0
-            for closing in row.closings:
-                log, next_ = logs[sender], closing.author == sender and closing.first == closing.round
-                fits = single and next_ and closing.incarnation == members[sender] and len(log) < RECENT
-                before = held[sender]
-                if fits and closing.round == before + 1 <= last and (values := self._layout.read(closing)) is not None:
-                    log.take(Entry(closing, values))
-                    self._heard(sender, before)
-                else:
-                    refused.append(self.take(closing, present))
-            plain = single and not row.held and applied <= last and settled <= self._number[SETTLED]
-            if not plain or not self._words.content(sender, view, applied, through):
-                refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
+    def receive(self, message: Round, present: int) -> list[str]:
+        """Take the closings and the word of a round message; returns why any of them is refused."""
+        sender, round_ = message.head.pid, message.round
+        refused = [self.take(closing, present) for closing in message.closings]
+        through, plain = round_ - 1 if round_ else 0, self._course.single and message.view == self.view.number
+        plain = plain and not message.held and message.applied <= present + AHEAD
+        plain = plain and message.settled <= self._number[SETTLED]
+        if not plain or not self._words.content(sender, message.view, message.applied, through):
+            refused.append(
+                self.heard(
+                    sender, message.view, message.applied, message.held, through, message.settled, present, asks=False
+                )
+            )
         return [why for why in refused if why is not None]
 
     def heard(self, pid: int, view: int, applied: int, held: Sequence[int], through: int, settled: int, present: int,
@@ -253,22 +218,16 @@ class Memory:
             return "word does not fit"
         ours = view == self.view.number
         self._words.hear(pid, ours, view, applied, held, through, asks)
-        if ours and (told := max(settled, self._number[TOLD])) > self._number[SETTLED]:  # also what the gate was told
-            self._settle(min(told, self.applied))
+        if ours and settled > self._number[SETTLED]:
+            self._settle(min(settled, self.applied))
         return None
 
     def advance(self, round_: int) -> bool:
         """Go through the boundaries before `round_` as far as closings are held; True iff an event may run in it: all
         before it is there, and it is not itself behind this robot, as for one that was let in within a round."""
         number = self._number
-        if number[TOLD] > number[SETTLED]:
-            self._settle(min(number[TOLD], self.applied))
         while self.applied < round_ - 1 and not number[LACKING]:
             if self.frozen and self.applied >= self.view.since - 1:
-                break
-            if number[OPEN] and self._pass_alike(self.applied + 1):
-                continue
-            if self.fetch():
                 break
             self._pass_each(self.applied + 1, round_ - 1)
         return self.applied == round_ - 1 and not self.frozen and self.view.members[self._pid] >= 0
@@ -318,7 +277,7 @@ class Memory:
             if through >= self._forgotten + FORGET_EVERY:
                 self._forgotten = through
                 for log in self._logs:
-                    if log.kept:
+                    if log.entries:
                         log.forget(through)
 
     def _look(self) -> None:
@@ -326,14 +285,12 @@ class Memory:
         if not self._course.single:
             self._course.pass_over(self._logs)
             self._course.drop(self.applied)
-        self.ledger.incarnation[:] = array("q", self.view.members)
-        self._number[OPEN] = self._course.single
         self._count()
 
     def _count(self) -> None:
         """How many closings of the next round are lacking."""
         number, held, applied = self._number, self.ledger.held, self.applied
-        number[APPLIED], number[LACKING] = applied, len([p for p in self._course.members if held[p] <= applied])
+        number[LACKING] = len([p for p in self._course.members if held[p] <= applied])
 
     def _pass_each(self, through: int, last: int) -> None:
         """Go on by a round, of which each closing is looked at; if nothing happened in it, by all such up to `last`."""
@@ -376,24 +333,3 @@ class Memory:
         if shared is not self.shared or acted is not self.acted:
             self.shared, self.acted = shared, acted
             self._past.add(through, shared, acted, self.stable)
-
-    def fetch(self) -> int:
-        """Have all closings in the logs, where each was looked at; how many are lacking, should some not fit."""
-        if self.ledger.native:
-            for log in self._logs:
-                log.fetch()
-        return self._number[LACKING]
-
-    def _pass_alike(self, through: int) -> bool:
-        """Go on by a round that the ledger can collect; False, and nothing is done, where it cannot, or where something
-        does not fit."""
-        found = self.ledger.collect(through)
-        after = None if found is None else all_alike(self._layout, found, through, self.shared, self.acted)
-        if found is None or after is None:
-            return False
-        self.prompt, number, (shared, acted) = found.prompt, self._number, after
-        self._pass(through, shared, acted)
-        number[APPLIED], number[LACKING] = through, number[NEXT]
-        if through >= number[SETTLED] + SETTLE_AFTER:
-            self._settle(min(through, number[LEAST]))
-        return True

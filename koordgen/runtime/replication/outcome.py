@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.net.layout import Layout, Unpatched
-from koordgen.runtime.net.ledger import Collected
 from koordgen.runtime.replication.log import Entry
 
 # Which of a round's transactions count.
@@ -86,23 +85,3 @@ def all_of(layout: Layout, entries: Sequence[Entry], shared: Store, acted: list[
         return shared, after, unfit
     written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
     return {**shared, **written}, after, unfit
-
-
-def all_alike(
-    layout: Layout, found: Collected, through: int, shared: Store, acted: list[int]
-) -> tuple[Store, list[int]] | None:
-    """The same of closings as the ledger collects them, without commits and patches: by variable, each by author. None
-    where something does not fit the program."""
-    written: dict[str, Any] = {}
-    for index, pids, values in found.writes:
-        value = layout.together(index, pids, values, shared)
-        if value is None:
-            return None
-        written[layout.names[index]] = value
-    if len(found.acted) == len(acted):  # nearly always
-        acted = [through] * len(acted)
-    elif found.acted:
-        acted = acted.copy()
-        for pid in found.acted:
-            acted[pid] = through
-    return {**shared, **written} if written else shared, acted

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from koordgen.runtime.net.assembly import Assembly
-from koordgen.runtime.net.gate import Fields
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.ledger import SETTLED, WANTING
-from koordgen.runtime.net.link import Link, Usuals, as_usual
+from koordgen.runtime.net.link import Link
+from koordgen.runtime.net.speech import Fields
 from koordgen.runtime.net.wire import (
     Accept,
     Decided,
@@ -75,10 +75,10 @@ class Replica:
         self._said = applied
         self._others = tuple([p for p in range(self._n) if p != self.pid])
         self._peers = {p: _Peer() for p in self._others}
-        self._heard = [-HEARD] * self._n  # a message of each, beside what the gate notes; ticks
+        self._heard = [-HEARD] * self._n  # the last message of each; ticks
         self._assembly = Assembly()
         self._stores = Store()
-        self._tick, self._present = 0, 1
+        self._tick = 0
         self._turn = self.pid
         self._asked = -ASKED  # when one asked last to be let in
         self._news = News(self._n)
@@ -86,8 +86,6 @@ class Replica:
         self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
         self.comeback = None if memory is not None else Comeback(self.pid, view.number)
         self.views = Views(self.pid, view, vote, self._own_word, self._holds, self._follow, self._save)
-        self._link.follow(view)
-        self._attach()
         self.emergency = False  # heard of one
         self.returns = 0  # times that the store became another one, or none, instead of going on
 
@@ -109,20 +107,9 @@ class Replica:
 
     def begin(self, round_: int) -> bool:
         """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
-        self._present, tick = round_, (round_ - 1) * SLOTS
+        tick = (round_ - 1) * SLOTS
         self._tick = self.views.tick = tick
-        self._now()
         return not self.emergency and self._calm(round_)
-
-    def _now(self) -> None:
-        """Let the memory know the time."""
-        if self.memory is not None:
-            self.memory.present(self._present, self._tick)
-
-    def _attach(self) -> None:
-        """Let the gate note in the memory what needs no thought."""
-        self._now()
-        self._link.attach(None if self.memory is None else self.memory.ledger)
 
     def alarm(self) -> None:
         """Tell the others at once to come to rest, and from now on with each word."""
@@ -148,8 +135,6 @@ class Replica:
             self._speech.round(self._others, word, () if closing is None else (closing,))
             return
         calm = strained or not memory.ledger.number[WANTING]
-        if calm and memory.closed == (first, round_) and self._speech.own(self._others, word, round_, memory.ledger):
-            return  # nearly always
         own = memory.own(first)
         if calm:
             self._speech.round(self._others, word, own)
@@ -187,10 +172,7 @@ class Replica:
             self._speech.say(to, Need, view, through, applied, memory.held, partly)
 
     def take(self, message: Talk, present: int) -> None:
-        """A message of this mission, heard in round `present`, or several usual ones."""
-        if isinstance(message, Usuals):  # nearly all
-            self._usual(message, present)
-            return
+        """A message of this mission, heard in round `present`."""
         sender = message.head.pid
         self._heard[sender] = self._tick
         if isinstance(message, Round):
@@ -210,17 +192,13 @@ class Replica:
 
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
-        self._present, self._tick, self.views.tick = present, tick, tick
-        self._now()
-        for _ in range(0 if self.memory is None else self.memory.misfits()):
-            self._link.reject("closing does not fit")
+        self._tick = self.views.tick = tick
         if self.emergency:
             self._speech.round(self._others, self.word(present), ())
         if tick % SLOTS == 0 and self._calm(present):
             return
         since = tick - HEARD
-        noted = self._heard if self.memory is None else self.memory.ledger.heard
-        heard = 1 + len([p for p in self._others if max(self._heard[p], noted[p]) > since])
+        heard = 1 + len([p for p in self._others if self._heard[p] > since])
         if heard >= majority(self._n):
             asking = [pid for pid, peer in self._peers.items() if peer.asked > tick - ASKED]
             self._send(self.views.poll(tick, self._doubted(present), asking))
@@ -263,7 +241,6 @@ class Replica:
         memory, last = self.memory, value.since - 1
         if memory is None:
             return value.members[self.pid] >= 0
-        memory.fetch()  # what it says to hold must fit
         stays = value.number == memory.view.number + 1 and value.members[self.pid] >= 0
         return stays and (memory.applied >= last or not memory.missing(last))
 
@@ -274,22 +251,12 @@ class Replica:
         for to, kind, fields in outs:
             self._speech.say(to, kind, *fields)
 
-    def _usual(self, messages: Usuals, present: int) -> None:
-        """Words by one view."""
-        view, rows = messages
-        heard, tick = self._heard, self._tick
-        for row in rows:
-            heard[row.sender] = tick
-        if view < self.views.view.number:
-            for row in rows:
-                self._tell(row.sender, view)
-        if self.memory is not None:
-            for refused in self.memory.usual(rows, view, present):
-                self._link.reject(refused)
-
     def _round(self, word: Round, present: int) -> None:
         self.emergency = self.emergency or word.emergency
-        self._usual(as_usual(word), present)
+        self._tell(word.head.pid, word.view)
+        if self.memory is not None:
+            for refused in self.memory.receive(word, present):
+                self._link.reject(refused)
 
     def _need(self, sender: int, message: Need, present: int) -> None:
         self._tell(sender, message.view)
@@ -346,7 +313,6 @@ class Replica:
             memory.close(comeback.silent.round, {}, stopped=False)
         self._spare = self.comeback = None
         self.memory = memory
-        self._attach()
         self.returns += 1
 
     def _ballot(self, sender: int, message: Prepare | Promise | Accept | Decided) -> None:
@@ -360,13 +326,11 @@ class Replica:
     def _follow(self, before: View) -> None:
         """There is another view."""
         view, memory, own = self.views.view, self.memory, self.views.view.members[self.pid]
-        self._link.follow(view)
         following = view.number == before.number + 1
         if memory is not None and following and own == before.members[self.pid]:
             memory.adopt(view)
         else:
             self._change(view, before, following)
-            self._attach()
         self._assembly.clear()
         for pid, peer in self._peers.items():
             peer.asked = -ASKED

@@ -8,7 +8,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
-from koordgen.runtime.net.ledger import REACHED, TOLD, WANTING, WATCHED, Ledger
+from koordgen.runtime.net.ledger import REACHED, WANTING, WATCHED, Ledger
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.replication.views import majority
 
@@ -33,7 +33,6 @@ class Words:
     def renew(self) -> None:
         """There is another view."""
         self.sure = self._number[WATCHED] = -1
-        self._number[TOLD] = 0
 
     def forget(self, pid: int) -> None:
         """It no longer counts, or counts anew."""

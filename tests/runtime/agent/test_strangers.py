@@ -26,18 +26,18 @@ def test_a_recorded_hello_of_an_earlier_boot_never_passes_for_live() -> None:
     fleet.boot(0)
     fleet.boot(1)
     fleet.run(1.0)
-    old = fleet.robots[0].agent._link.sessions.boots[1]
+    old = fleet.robots[0].agent._link.sessions[1].boot
     del fleet.robots[1]
     old_hellos = list(recorded)
     fleet.boot(1)
     fleet.run(1.0)
     new = fleet.robots[1].agent._link.boot
-    assert fleet.robots[0].agent._link.sessions.boots[1] == new != old
+    assert fleet.robots[0].agent._link.sessions[1].boot == new != old
     for receiver, datagram in old_hellos:
         if receiver in fleet.network._queues:
             send(1, receiver, datagram)
     fleet.run(0.01)
-    assert fleet.robots[0].agent._link.sessions.boots[1] == new
+    assert fleet.robots[0].agent._link.sessions[1].boot == new
     fleet.boot(2)
     for _ in range(5):
         for receiver, datagram in old_hellos:

@@ -13,9 +13,8 @@ import pytest
 from msgspec.structs import replace
 
 from koordgen.runtime.config.settings import Network
-from koordgen.runtime.ops.opening import open_transport
 from tests.runtime.net.test_udp import UNICAST, groups
-from tests.runtime.net.transports import BODIES, free_ports, settings
+from tests.runtime.net.transports import IMPLEMENTATIONS, free_ports, open_as, settings
 
 TIMES, LEAST = 40, 6  # the system gives another process every second or third turn
 
@@ -40,7 +39,7 @@ def switches() -> int:
     return resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 @pytest.mark.parametrize("network", [UNICAST, *groups()], ids=lambda network: network.transport)
 @pytest.mark.parametrize(("host", "to", "gives_way"), [
     ("127.0.0.1", [1, 2], True),
@@ -50,7 +49,7 @@ def switches() -> int:
 def test_a_robot_gives_way(network: Network, native: bool, host: str, to: list[int], gives_way: bool) -> None:
     given = settings(0, free_ports(4), network)
     peers = (given.peers[0], *(replace(peer, host=host) for peer in given.peers[1:]))
-    transport = open_transport(replace(given, peers=peers), native)
+    transport = open_as(replace(given, peers=peers), native)
     with a_busy_core():
         before = switches()
         for _ in range(TIMES):

@@ -6,11 +6,11 @@ import random
 
 import pytest
 
-from koordgen.runtime.net.metrics import Histograms, Metrics
+from koordgen.runtime.net.metrics import Histogram, Metrics
 
 
 def test_quantiles_are_right_within_a_bucket() -> None:
-    rng, histogram = random.Random(1), Histograms()
+    rng, histogram = random.Random(1), Histogram()
     values = sorted(10 ** rng.uniform(-5, 1) for _ in range(5000))
     for value in values:
         histogram.add(value)
@@ -22,14 +22,14 @@ def test_quantiles_are_right_within_a_bucket() -> None:
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-9, 1e9])
 def test_extremes_are_counted(value: float) -> None:
-    histogram = Histograms()
+    histogram = Histogram()
     histogram.add(value)
     assert histogram.count() == 1 and histogram.quantile(0.99) <= max(value, 1e-6)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_what_is_no_number_is_not_counted(value: float) -> None:
-    histogram = Histograms()
+    histogram = Histogram()
     histogram.add(value)
     assert histogram.count() == 0 and histogram.snapshot() == {}
 
@@ -46,7 +46,7 @@ def test_loss_is_what_is_missing_and_late_ones_are_not() -> None:
     metrics = Metrics(0, 2)
     newest = 0
     for sequence in (1, 2, 5, 4, 6, 10):  # 3, 7, 8, 9 never come
-        metrics.heard(1, sequence - newest, None, float(sequence))
+        metrics.heard([(1, sequence - newest, None)], float(sequence))
         newest = max(newest, sequence)
     assert metrics.snapshot(11.0, {})["peers"]["1"]["loss"] == 0.4
 
@@ -60,7 +60,7 @@ def test_loss_is_that_of_late() -> None:
             if rng.random() < lost:
                 ahead += 1
             else:
-                metrics.heard(1, ahead, 0.001, now)
+                metrics.heard([(1, ahead, 0.001)], now)
                 ahead = 1
         found = metrics.snapshot(now, {})["peers"]["1"]["loss"]
         assert found == pytest.approx(lost, abs=0.07)
@@ -69,7 +69,7 @@ def test_loss_is_that_of_late() -> None:
 def test_silence_delay_and_what_is_behind() -> None:
     metrics = Metrics(1, 3)
     for now in (1.0, 1.1, 3.1, 3.2):
-        metrics.heard(2, 1, 0.004, now)
+        metrics.heard([(2, 1, 0.004)], now)
     metrics.held((0, 9, 7))
     metrics.held((0, 9, 5))
     metrics.repeated(2)

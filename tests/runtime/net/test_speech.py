@@ -7,13 +7,17 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime.net import wire
-from koordgen.runtime.net.speech import ECHOES_A_LESSON, MOST_DATAGRAMS, MOST_PIECES_AT_ONCE, OTHERS_EVERY
-from koordgen.runtime.net.wire import LIMIT, Closing, Piece, Round, encoder
-from tests.runtime.net.compiled.gates import needs_gate
-from tests.runtime.net.compiled.test_voice import WORD, Mouth, closing_of
-
-pytestmark = needs_gate
+from koordgen.runtime.net import speech, wire
+from koordgen.runtime.net.speech import (
+    ECHOES_A_LESSON,
+    MOST_DATAGRAMS,
+    MOST_PIECES_AT_ONCE,
+    OTHERS,
+    OTHERS_EVERY,
+    others_every,
+)
+from koordgen.runtime.net.wire import LIMIT, MAX_ECHOES, Closing, Piece, Round, encoder
+from tests.runtime.net.links import OWN, WORD, Mouth, N, closing_of
 
 
 def said(*closings: Closing) -> list[Any]:
@@ -103,3 +107,66 @@ def test_times_are_told_in_microseconds(shift: float | None, fleet: int | None) 
     mouth.speech.round(mouth.others, WORD, ())
     (message,) = mouth.said()
     assert (message.head.sent, message.head.fleet) == (2_500_000, fleet)
+
+
+@pytest.mark.parametrize(("now", "sent"), [(-3.0, 0), (4e-7, 0), (6e-7, 1), (1.0000015, 1_000_002), (3e7, 3 * 10**13)])
+def test_no_time_is_below_zero(now: float, sent: int) -> None:
+    mouth = Mouth()
+    mouth.clock.time = now
+    mouth.speech.round(mouth.others, WORD, ())
+    assert mouth.said()[0].head.sent == sent
+
+
+def test_each_datagram_has_the_next_number_and_the_epoch_of_its_time() -> None:
+    mouth = Mouth()
+    for epoch in (b"", b"mission1", b"mission2", b""):
+        mouth.link.epoch = epoch
+        mouth.speech.round(mouth.others, WORD, ())
+        mouth.speech.round([], WORD, ())
+        mouth.speech.say([], wire.Decided, wire.View(0, 1, (0,)))
+        mouth.speech.say(mouth.others, wire.Decided, wire.View(0, 1, (0,)))
+    heads = [message.head for message in mouth.said()]
+    assert [head.sequence for head in heads] == list(range(1, 9))
+    assert [head.epoch for head in heads] == [e for e in (b"", b"mission1", b"mission2", b"") for _ in range(2)]
+
+
+@pytest.mark.parametrize("n", [3, N, 16])
+def test_echoes_go_to_those_who_are_due_as_long_as_there_is_room(n: int) -> None:
+    """To all or to some, by any kind of message, and as the reference more often."""
+    mouth = Mouth(n)
+    mouth.meet(mouth.others[:-1])
+    last, counts = dict[int, float](), list[int]()
+    for turn in range(80):
+        to = mouth.others if turn % 3 else mouth.others[: 1 + turn % 5]
+        mouth.fleet_clock.reference = OWN if turn > 40 else 0
+        every = (speech.REFERENCE_EVERY if turn > 40 else OTHERS_EVERY) / ECHOES_A_LESSON
+        mouth.clock.time += (0.001, 0.01, 0.2)[turn % 3]
+        if turn == 20:
+            mouth.meet(mouth.others)
+        mouth.speech.round(to, WORD, [closing_of(30)])
+        message = wire.decode(mouth.sent.pop()[1], KEY)
+        assert isinstance(message, Round)
+        echoed = [echo.pid for echo in message.head.echoes]
+        assert set(echoed) <= set(to) and all(mouth.clock.time - last.get(pid, -9.0) >= every for pid in echoed)
+        last |= dict.fromkeys(echoed, mouth.clock.time)
+        counts.append(len(echoed))
+    assert sorted(last) == mouth.others and max(counts) == min(MAX_ECHOES, n - 1) and 0 in counts
+    for _ in range(3):
+        mouth.speech.round(mouth.others, WORD, ())
+    assert mouth.speech._next_echo > mouth.clock.time, "nobody looks for whose turn it is while it is nobody's"
+
+
+def test_in_a_large_fleet_all_have_their_turn_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [others_every(n) for n in (2, OTHERS, 2 * OTHERS)] == [OTHERS_EVERY, OTHERS_EVERY, 2 * OTHERS_EVERY]
+    monkeypatch.setattr(speech, "OTHERS", 4)
+    mouth, last, gaps = Mouth(n=16), dict[int, float](), list[float]()
+    mouth.meet(mouth.others)
+    while mouth.clock.time < 30.0:
+        mouth.clock.time += 0.1
+        mouth.speech.round(mouth.others, WORD, ())
+        for echo in mouth.said()[-1].head.echoes:
+            if echo.pid in last:
+                gaps.append(mouth.clock.time - last[echo.pid])
+            last[echo.pid] = mouth.clock.time
+    assert set(last) == set(mouth.others)
+    assert min(gaps) + 1e-9 >= 4.0 / ECHOES_A_LESSON and max(gaps) < 1.6 * 4.0 / ECHOES_A_LESSON

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from koordgen.runtime.net.courier import MOST_AT_ONCE
+from koordgen.runtime.net.transport import MOST_AT_ONCE
 from koordgen.runtime.net.wire import LIMIT
 from tests.runtime.net import transports
 from tests.runtime.net.transports import Opened
@@ -21,13 +21,13 @@ KINDS: dict[str, Callable[[ExitStack, int], Opened]] = {
     **{
         f"{kind}{body}": partial(transports.udp, kind=kind, native=not body)
         for kind in ("unicast", "multicast", "broadcast")
-        for body in ("", " plain")
+        for body in ("", " in Python")
     },
     "zenoh": transports.zenoh,
 }
 NEEDS = {
     "zenoh": [transports.needs_zenoh],
-    **{kind: [transports.needs_courier] for kind in ("unicast", "multicast", "broadcast")},
+    **{kind: [transports.needs_compiler] for kind in ("unicast", "multicast", "broadcast")},
 }
 ALL = [pytest.param(kind, marks=NEEDS.get(kind, [])) for kind in KINDS]
 

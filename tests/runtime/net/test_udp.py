@@ -11,17 +11,18 @@ import pytest
 
 from koordgen.runtime.config.settings import Network, Peer
 from koordgen.runtime.net import udp
-from koordgen.runtime.net.courier import GROUP
-from koordgen.runtime.net.inbox import PlainInbox
-from koordgen.runtime.net.transport import CannotOpen, Transport
+from koordgen.runtime.net.inbox import PythonInbox
+from koordgen.runtime.net.transport import GROUP, CannotOpen, Transport
 from koordgen.runtime.ops.opening import open_transport
 from tests.runtime.net.transports import (
-    BODIES,
     BROADCAST,
+    IMPLEMENTATIONS,
     LINK_LOCAL,
     MULTICAST,
     free_ports,
+    implemented,
     needs_ipv6,
+    open_as,
     opened,
     settings,
 )
@@ -61,7 +62,7 @@ def test_a_group_port_in_use_by_something_else(network: Network) -> None:
             open_one(free_ports(2), network)
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 @pytest.mark.parametrize("network", groups())
 def test_robots_of_one_host_share_a_group(network: Network, native: bool) -> None:
     with ExitStack() as stack:
@@ -116,22 +117,22 @@ def test_listening_everywhere() -> None:
     transport.close()
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 def test_what_cannot_be_sent_is_counted_by_reason(native: bool) -> None:
-    transport = open_transport(settings(0, free_ports(2), UNICAST), native)
+    transport = open_as(settings(0, free_ports(2), UNICAST), native)
     transport.send([1], bytes(70_000))
     transport.send([1, 1], bytes(70_000))
     assert transport.troubles == {"send: EMSGSIZE": 3}
     transport.close()
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 @pytest.mark.parametrize("host", [pytest.param("::1", marks=needs_ipv6), "localhost", "127.0.0.1"])
 def test_every_kind_of_address(host: str, native: bool) -> None:
     check_unicast(host, native)
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 @pytest.mark.skipif(not LINK_LOCAL, reason="no network interface has a link-local address")
 def test_addresses_of_one_link(native: bool) -> None:
     check_unicast(LINK_LOCAL, native)
@@ -139,7 +140,8 @@ def test_addresses_of_one_link(native: bool) -> None:
 
 def check_unicast(host: str, native: bool) -> None:
     peers = [Peer(f"r{i}", host, port) for i, port in enumerate(free_ports(2))]
-    first, second = (udp.UnicastTransport(peers, pid, native=native) for pid in range(2))
+    with implemented(native):
+        first, second = (udp.UnicastTransport(peers, pid) for pid in range(2))
     for source, target in ((first, second), (second, first), (first, first)):
         source.send([0 if target is first else 1], b"x")
         target.wait(5)
@@ -149,12 +151,12 @@ def check_unicast(host: str, native: bool) -> None:
     second.close()
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 def test_sending_fails_alike_for_one_and_for_several(native: bool) -> None:
     """Of several, the others still get theirs."""
     ports = free_ports(3)
-    first = open_transport(settings(0, ports, UNICAST), native)
-    second = open_transport(settings(1, ports, UNICAST), native)
+    first = open_as(settings(0, ports, UNICAST), native)
+    second = open_as(settings(1, ports, UNICAST), native)
     first.send([2], b"nobody listens, and UDP does not tell")
     first.send([2, 2, 1], b"x")
     second.wait(5)
@@ -170,18 +172,18 @@ def test_sending_fails_alike_for_one_and_for_several(native: bool) -> None:
 
 def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
-    monkeypatch.setattr(PlainInbox, "send", lambda self, place, datagram: sent.append(place))
+    monkeypatch.setattr(PythonInbox, "send", lambda self, place, datagram: sent.append(place))
     ports, network = free_ports(4), groups()[0]
-    transport = open_transport(settings(0, ports, network), native=False)
+    transport = open_as(settings(0, ports, network), False)
     for to in ([1, 2, 3], [2, 3], [2], []):
         transport.send(to, b"x")
     assert sent == [GROUP, GROUP, 2]
     transport.close()
 
 
-@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("native", IMPLEMENTATIONS)
 def test_waiting_is_finer_than_a_millisecond(native: bool) -> None:
-    transport = open_transport(settings(0, free_ports(2), UNICAST), native)
+    transport = open_as(settings(0, free_ports(2), UNICAST), native)
     late = []
     for _ in range(10):
         start = time.monotonic()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import socket
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from ipaddress import IPv6Address
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,17 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
-from koordgen.runtime.net import courier
+from koordgen.runtime.native.loader import COMPILERS
+from koordgen.runtime.net import courier, inbox
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.ops.opening import open_transport
 from koordgen.runtime.values.clock import SimulatedClock
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None
-NO_COURIER = courier.COMPILED.why()
-needs_courier = pytest.mark.skipif(bool(NO_COURIER), reason=NO_COURIER)
-BODIES = [pytest.param(True, marks=needs_courier, id="compiled"), pytest.param(False, id="plain")]
+COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+IMPLEMENTATIONS = [pytest.param(True, marks=needs_compiler, id="c"), pytest.param(False, id="python")]  # of an inbox
 needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
 _INTERFACES = [line.split() for line in Path("/proc/net/if_inet6").read_text().splitlines()] if socket.has_ipv6 else []
 needs_ipv6 = pytest.mark.skipif(not _INTERFACES, reason="this host has no IPv6")
@@ -34,6 +36,24 @@ LINK_LOCAL = next(
 PATIENCE = 30.0  # seconds until a test gives up; never waited for when all is well
 MULTICAST = "239.255.71.1"
 BROADCAST = "127.255.255.255"
+
+
+@contextmanager
+def implemented(native: bool) -> Iterator[None]:
+    """Open inboxes of C in this block, or of Python. Where there is a compiler, C that cannot be used is a failure."""
+    if native:
+        assert inbox.accelerator() == ""
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(courier.COMPILED, "found", "not wanted")
+        yield
+
+
+def open_as(given: Settings, native: bool) -> Transport:
+    """Open the transport that the settings name, with that implementation of an inbox."""
+    with implemented(native):
+        return open_transport(given)
 
 
 def free_ports(n: int) -> list[int]:
@@ -157,7 +177,7 @@ def opened(stack: ExitStack, ports: Sequence[int], *networks: Network, native: b
     """One for each port; all of one network, or each of its own."""
     transports = []
     for pid in range(len(ports)):
-        transport = open_transport(settings(pid, ports, networks[pid % len(networks)]), native)
+        transport = open_as(settings(pid, ports, networks[pid % len(networks)]), native)
         stack.callback(transport.close)
         transports.append(transport)
     return transports

@@ -388,8 +388,8 @@ def test_nobody_answers_where_nobody_runs(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_report_is_shown_as_a_table() -> None:
 
     metrics = Metrics(1, 3)
-    metrics.heard(0, 1, 0.001, 1.0)
-    metrics.heard(0, 3, 0.002, 1.5)
+    metrics.heard([(0, 1, 0.001)], 1.0)
+    metrics.heard([(0, 3, 0.002)], 1.5)
     metrics.round(1, 0.001, "Move", None, True)
     metrics.round(2, 0.001, None, "waits for cleo", False)
     head: dict[str, Any] = {"robot": "bert", "pid": 1, "app": "line", "release": "", "phase": "running", "round": 2}

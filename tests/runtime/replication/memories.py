@@ -35,7 +35,7 @@ def fleet(n: int = 3) -> list[Memory]:
 
 def log_of(pid: int, n: int = 3) -> Log:
     """One that no memory looks at."""
-    return Log(Ledger(0, n), pid, layout(n).read, lambda: None)
+    return Log(Ledger(0, n), pid)
 
 
 def write(index: int, value: Any) -> Write:

@@ -1,14 +1,10 @@
-"""Past stores: which are known, which are forgotten; and what a round comes to leaves those before it as they were."""
+"""Past stores: which are known, which are forgotten."""
 
 from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.ledger import Collected
-from koordgen.runtime.program.program import Variable
-from koordgen.runtime.replication.outcome import FORGET_EVERY, Past, all_alike
-from koordgen.runtime.values.bounds import Fixed
+from koordgen.runtime.replication.outcome import FORGET_EVERY, Past
 
 
 def past(count: int, stable: int) -> Past:
@@ -41,10 +37,3 @@ def test_of_many_those_before_the_last_stable_round_are_forgotten(stable: int) -
 def test_what_is_not_stable_is_never_forgotten() -> None:
     made = past(5 * FORGET_EVERY, stable=-1)
     assert all(made.at(round_) == ({"x": round_}, [round_]) for round_ in range(0, 10 * FORGET_EVERY, 2))
-
-
-def test_who_acted_before_is_still_known() -> None:
-    layout = Layout((Variable("x", "allwrite", int, Fixed(9), int),), 3)
-    store, acted = layout.initial(), [4, 4, 4]
-    after = all_alike(layout, Collected([0, 2], (), []), 5, store, acted)
-    assert after is not None and after[0] is store and after[1] == [5, 4, 5] and acted == [4, 4, 4]
