@@ -1,18 +1,14 @@
-"""Measure each part of the receive path in C by switching it off: `python benchmarks/protocol_parts.py [--quick]`.
+"""Measure the socket I/O in C against the same in Python: `python benchmarks/protocol_parts.py [--quick]`.
 
-Variants, in turns, in one run; `all` is the product as it is:
+Variants, in turns, in one run:
 
-    no courier   waiting, receiving and sending by Python's socket module (courier.c)
-    no coupling  courier and gate are there, and know nothing of each other
-    no gate      datagrams are authenticated and read in Python (gate.c with mac.h, blake2s.h, msgpack.h)
-    no ledger    the gate authenticates and reads, and the memory is told of each message (ledger.h)
-    no voice     own words are put together and sealed in Python (voice.h)
-    none         plain Python
+    courier      the product as it is: waiting, receiving and sending by courier.c
+    no courier   the same by Python's socket module, as where there is no C compiler
 
 Three figures for each: time to consistency (median over robots and rounds), CPU of a robot's round (median over
 robots), and the round trip of an update between two robots. One robot a process, full stack of the shared memory
-without agents around it (see peers_memory). Ratios are to `all`; more than 1 is slower than with all parts.
-
+without agents around it (see peers_memory). Ratios are to `courier`; more than 1 is slower. What other parts in C
+bought when there were more is in docs/adr/0048-what-each-part-in-c-buys.md.
 """
 
 from __future__ import annotations
@@ -24,77 +20,30 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.peers_exchange import Place
 from benchmarks.peers_memory import open_memory, open_update
 from benchmarks.shared_memory import Failed, round_trip, rounds
-from koordgen.runtime.net import courier, gate
-from koordgen.runtime.net.link import Link
-from koordgen.runtime.net.speech import Speech
 
-NOT_WANTED = "not wanted"
 FLEETS = ((5, 0.1), (5, 0.01), (16, 0.01), (32, 0.05))  # robots, delta (s)
-
-
-def _no_courier() -> None:
-    courier.COMPILED.found = NOT_WANTED
-
-
-def _no_gate() -> None:
-    gate.COMPILED.found = NOT_WANTED
-
-
-def _no_coupling() -> None:
-    Link._couple = lambda self: None  # type: ignore[method-assign]
-
-
-def _no_ledger() -> None:
-    Link.attach = lambda self, ledger: None  # type: ignore[method-assign]
-    _no_voice()  # which reads the ledger
-
-
-def _no_voice() -> None:
-    Speech.own = lambda self, *given: False  # type: ignore[method-assign]
-
-
-def _none() -> None:
-    _no_courier()
-    _no_gate()
-
-
-VARIANTS: dict[str, Callable[[], None]] = {
-    "all": lambda: None,
-    "no courier": _no_courier,
-    "no coupling": _no_coupling,
-    "no gate": _no_gate,
-    "no ledger": _no_ledger,
-    "no voice": _no_voice,
-    "none": _none,
-}
-
-
-def opened(variant: str, open_: Callable[[Place], Any], place: Place) -> Any:
-    """Runs in a robot's own process, so that what is switched off is so there alone."""
-    VARIANTS[variant]()
-    return open_(place)
+BASE = "courier"
+VARIANTS = {BASE: True, "no courier": False}  # whether the sockets are read by C
 
 
 def figures(variant: str, n: int, delta: float, count: int) -> dict[str, float]:
     """Raises Failed."""
-    found = rounds(partial(opened, variant, open_memory), n, delta, count)
+    found = rounds(partial(open_memory, native=VARIANTS[variant]), n, delta, count)
     return {"consistency_ms": statistics.median(found.took) * 1e3, "cpu_us": found.cpu * 1e6, "missed": found.missed}
 
 
 def trip(variant: str, count: int) -> dict[str, float]:
     """Raises Failed."""
-    return {"round_trip_us": round_trip(partial(opened, variant, open_update), count) * 1e6}
+    return {"round_trip_us": round_trip(partial(open_update, native=VARIANTS[variant]), count) * 1e6}
 
 
 def measure(label: str, runs: int, one: Callable[[str], dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Medians over runs that take turns; prints a table with ratios to `all`."""
+    """Medians over runs that take turns; prints a table with ratios to BASE."""
     found: dict[str, list[dict[str, float]]] = {variant: [] for variant in VARIANTS}
     for _ in range(runs):
         for variant, runs_of in found.items():
@@ -109,7 +58,7 @@ def measure(label: str, runs: int, one: Callable[[str], dict[str, float]]) -> di
     }
     print(label)
     for variant, values in medians.items():
-        base = medians.get("all", {})
+        base = medians.get(BASE, {})
         shown = [f"{name} {value:9.1f} ({ratio(value, base.get(name))})" for name, value in values.items()]
         print(f"  {variant:12} {'  '.join(shown)}", flush=True)
     return medians
