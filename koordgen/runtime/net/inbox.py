@@ -60,7 +60,7 @@ def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None],
     return courier.CompiledInbox(found, sockets, trouble, shares)
 
 
-PYTHON_COSTS = "sockets are read by Python, which takes about 30 % more CPU a round and delays updates by as much"
+PYTHON_COSTS = "sockets are read by Python: a round takes about 10 % more CPU, a round trip 2 to 3 times as long"
 
 
 def accelerator() -> str:

@@ -205,4 +205,4 @@ def test_a_computer_without_a_compiler(
     done, found = examined(bundles[0], capsys)
     assert done == 0
     assert (found["compiled"]["state"], found["compiled"]["found"]) == ("warn", "there is no C compiler")
-    assert re.search(r"\d+ % more CPU a round.*apt install gcc", found["compiled"]["why"])
+    assert re.search(r"\d+ % more CPU, .*apt install gcc", found["compiled"]["why"])
