@@ -43,11 +43,9 @@ class Layout:
         self.is_slots = tuple(v.kind == "allread" for v in shared)
         self._shared = tuple(shared)
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
-        self._lists = tuple(msgspec.msgpack.Decoder(list[v.type]) for v in shared)  # type: ignore[name-defined]
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
-        tests = [_tests(v) for v in shared]
-        self._fits, self._all_fit = tuple([one for one, _ in tests]), tuple([every for _, every in tests])
-        self._by_name = {v.name: (i, self._plain[i], self._fits[i]) for i, v in enumerate(shared)}
+        self._fits = tuple(map(_test, shared))
+        self._by_name = {v.name: i for i, v in enumerate(shared)}
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -111,19 +109,6 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def plain(self, shared: Mapping[str, Any]) -> Sequence[tuple[int, Any, bool]] | None:
-        """The writes of an event that wrote only numbers and texts of just the variables' types: they are encoded as
-        those that `written` has, where none is so long that it might go as a patch. None for all else."""
-        if not shared:
-            return ()
-        writes: list[tuple[int, Any, bool]] = []
-        for name, item in shared.items():
-            index, kind, fits = self._by_name[name]
-            if type(item) is not kind or not fits(item):
-                return None
-            writes.append((index, item, False))
-        return writes if len(writes) < 2 else sorted(writes)
-
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
@@ -131,7 +116,7 @@ class Layout:
         value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
         just the variable's type is what its encoding yields, so it is not decoded."""
         writes, values, fit = list[Write](), list[tuple[int, Any]](), True
-        for index in sorted([self._by_name[name][0] for name in shared]):
+        for index in sorted([self._by_name[name] for name in shared]):
             item = shared[self.names[index]]
             whole = encoder.encode(item)
             write = Write(index, msgspec.Raw(whole))
@@ -179,26 +164,6 @@ class Layout:
             before = index
         return values
 
-    def together(self, index: int, pids: Sequence[int], values: msgspec.Raw, store: Mapping[str, Any]) -> Any | None:
-        """What a variable becomes when these robots (ascending) write these values in one round; None when one does not
-        fit this program."""
-        if index >= len(self._lists):
-            return None
-        try:
-            found = self._lists[index].decode(values)
-        except (ValueError, RecursionError):
-            return None
-        if len(found) != len(pids) or not self._all_fit[index](found):
-            return None
-        if not self.is_slots[index]:
-            return found[-1]
-        if len(found) == self.n_sys:
-            return tuple(found)
-        slots = list(store[self.names[index]])
-        for pid, value in zip(pids, found, strict=True):
-            slots[pid] = value
-        return tuple(slots)
-
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
         """The value of what `read` gave, where the round began with `base` (see there); None for a patch that does not
         fit it. That depends on nothing else, so all robots take the write, or none does."""
@@ -223,28 +188,20 @@ class Layout:
         return known[1]
 
 
-def _tests(variable: Variable) -> tuple[Callable[[Any], bool], Callable[[Sequence[Any]], bool]]:
-    """Whether a value, and whether all of several, of the variable's type are such as this program can write."""
+def _test(variable: Variable) -> Callable[[Any], bool]:
+    """Return the predicate of those values of the variable's type that this program can write."""
     bound = variable.bound
 
     def fits(value: Any) -> bool:
         return transmissible(value) and not bound.flaw(value)
 
-    def all_fit(values: Sequence[Any]) -> bool:
-        return all(map(fits, values))
-
     def text_fits(value: str) -> bool:
         return len(value) <= capacity if value.isascii() else fits(value)
 
-    def all_texts_fit(values: Sequence[str]) -> bool:
-        if all(map(str.isascii, values)):
-            return max(map(len, values)) <= capacity
-        return all(map(text_fits, values))
-
-    if variable.type is str and isinstance(bound, Text):  # the kind of value that is the longest to go through
+    if variable.type is str and isinstance(bound, Text):  # the kind of value that takes longest to go through
         capacity = bound.capacity
-        return text_fits, all_texts_fit
-    return fits, all_fit
+        return text_fits
+    return fits
 
 
 def most_closing(n_sys: int) -> int:
