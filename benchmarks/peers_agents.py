@@ -17,7 +17,7 @@ from koordgen.runtime.agent.rounds import PUBLISH
 from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Round, decode
+from koordgen.runtime.net.wire import RoundMessage, decode
 from koordgen.runtime.ops.opening import open_transport
 from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.trace.writer import Record, Trace
@@ -143,15 +143,15 @@ class Inside:
     def complete(self) -> int:
         """The last round of which the updates of all robots are here."""
         rounds = self._agent._rounds
-        memory = None if rounds is None else rounds._replica.memory
-        return 0 if memory is None else min(memory.held)
+        state = None if rounds is None else rounds._replica.state
+        return 0 if state is None else min(state.held)
 
 
 def run_agent(
     pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float, folder: Path
 ) -> dict[str, Any]:
     """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
-    seconds from the tick to consistency, and to the departure of the own closing, infinite when that never came; and
+    seconds from the tick to consistency, and to the departure of the own entry, infinite when that never came; and
     the rounds in which no event ran, with the reason. `cpu`: seconds of CPU in a round."""
     clock, given = SystemClock(), settings(pid, ports, delta, transport)
     skipped: dict[int, str] = {}
@@ -184,7 +184,7 @@ def run_agent(
     store.close()
     start, never = inside.start, float("inf")
     assert start is not None
-    left = closings(tapped.sent, pid)
+    left = entries(tapped.sent, pid)
     counted = range(warm + 1, last + 1)
     ticks = {r: start + (r - 1) * delta for r in counted}
     return {
@@ -197,15 +197,15 @@ def run_agent(
     }
 
 
-def closings(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
-    """When the own closing of each round left first."""
+def entries(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
+    """When the own entry of each round left first."""
     left: dict[int, float] = {}
     for at, datagram in sent:
         message = decode(datagram, KEY)
-        if isinstance(message, Round):
-            for closing in message.closings:
-                if closing.author == pid:
-                    for round_ in range(closing.first, closing.round + 1):
+        if isinstance(message, RoundMessage):
+            for entry in message.entries:
+                if entry.author == pid:
+                    for round_ in range(entry.first, entry.round + 1):
                         left.setdefault(round_, at)
     return left
 

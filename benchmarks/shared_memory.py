@@ -5,7 +5,7 @@
    beside raw UDP with as many bytes, Zenoh and CycloneDDS.
 2. Time to consistency: 16 robots, rounds of 10 ms, from the tick until a robot has the other 15 updates.
 3. The largest fleet in which every robot has every update before the next tick.
-4. Rounds of 10 ms of four whole agents: how many closings leave late.
+4. Rounds of 10 ms of four whole agents: how many entries leave late.
 
 One harness drives all of them alike. In 2 and 3 ours is the shared memory's full stack (see `peers_memory`); whole
 agents, with sensors, events, monitors, trace and journal, stand beside it and are not judged, since the peers have none
@@ -341,10 +341,8 @@ def part_late(quick: bool) -> Figures:
     late = sum(t > deadline for t, deadline in left) / len(left)
     skipped = sum(len(r["skipped"]) for r in results) / len(left)
     figures = {"late": late, "skipped": skipped, "left_ms": statistics.median(t for t, _ in left) * 1e3}
-    print(
-        f"  closings leave {figures['left_ms']:.2f} ms after the tick (median), {skipped:.3%} of rounds without event"
-    )
-    tell("share of late closings (%)", late * 100, "below", 0.1)
+    print(f"  entries leave {figures['left_ms']:.2f} ms after the tick (median), {skipped:.3%} of rounds without event")
+    tell("share of late entries (%)", late * 100, "below", 0.1)
     return figures
 
 

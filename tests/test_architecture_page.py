@@ -96,7 +96,7 @@ def test_the_table_has_a_function_in_each_row() -> None:
         ("`//` and `%` of negatives: emitted", "koordgen/build/emit/expr.py:_text"),
         ("NaN from an extern function", "koordgen/runtime/values/points.py:no_nan"),
         ("`--status`", "koordgen/runtime/ops/control.py:Control._part"),
-        ("sent again", "koordgen/runtime/replication/memory.py:Memory.repeat"),
+        ("sent again", "koordgen/runtime/replication/replica.py:Replica._lacked_entries"),
         ("guard becomes SMT", "koordgen/verify/prove/obligations/generate.py:guarded"),
     ],
 )
@@ -113,12 +113,14 @@ def test_a_question_takes_three_steps_from_the_readme(words: str, place: str) ->
 @pytest.mark.parametrize(
     ("term", "file"),
     [
-        ("retransmission", "replication/patience.py"),
-        ("retransmission", "replication/replica.py"),
-        ("failure detector", "replication/news.py"),
+        ("retransmission", "replication/retransmission.py"),
+        ("state machine", "replication/replica.py"),
+        ("state machine", "replication/state_machine.py"),
+        ("failure detector", "replication/failure_detector.py"),
         ("view change", "replication/views.py"),
-        ("state transfer", "replication/comeback.py"),
-        ("acknowledgement", "replication/words.py"),
+        ("state transfer", "replication/rejoin.py"),
+        ("commit index", "replication/progress.py"),
+        ("arbitration", "replication/apply.py"),
     ],
 )
 def test_the_standard_term_leads_to_its_module(term: str, file: str) -> None:

@@ -22,7 +22,7 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.program.program import Frame
 from koordgen.runtime.program.runner import LOST_CONTENTION, name_of
-from koordgen.runtime.replication.outcome import winner
+from koordgen.runtime.replication.apply import winner
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed

@@ -33,8 +33,8 @@ def test_every_message_has_its_fields() -> None:
     }
     (head,) = re.findall(r"^Every message begins with a head: (.*)$", MEMORY, re.MULTILINE)
     assert re.findall(r"`(\w+)`", head) == list(wire.Head.__struct_fields__)
-    (closing,) = re.findall(r"^A closing is (.*?)\. ", MEMORY, re.MULTILINE)
-    assert re.findall(r"`(\w+)`", closing) == list(wire.Closing.__struct_fields__)
+    (entry,) = re.findall(r"^An entry is (.*?)\. ", MEMORY, re.MULTILINE)
+    assert re.findall(r"`(\w+)`", entry) == list(wire.Entry.__struct_fields__)
     assert f"one byte of format ({wire.WIRE_FORMAT})" in MEMORY
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from koordgen.runtime.replication.views import majority
+from koordgen.runtime.replication.progress import majority
 from tests.model.protocol import Protocol
 from tests.model.state import AS_THEY_ARE, Bounds, N, Rules, State, Violation
 

@@ -1,4 +1,4 @@
-"""The real shared memory of a few robots (Rounds, Replica, Views, Memory, Outbox) under a schedule that a test chooses.
+"""The real shared memory of a few robots (Rounds, Driver, Replica, Outbox) under a schedule that a test chooses.
 
 No clock, no network, no disk: time is what the test says, messages lie in flight until the test delivers, repeats or
 drops them, and what a robot keeps is a Kept. Every event of robot p sets its slot `mine[p]` to the number of its events
@@ -16,12 +16,13 @@ from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.agent.store import KEPT
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.metrics import Metrics
-from koordgen.runtime.net.wire import Closing, Decided, Head, Message, Round, View
+from koordgen.runtime.net.wire import Decided, Entry, Head, Message, RoundMessage, View
 from koordgen.runtime.program.program import Effects, Life, Variable
 from koordgen.runtime.program.runner import Outcome
-from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.driver import Driver
+from koordgen.runtime.replication.messages import HardState, Vote
 from koordgen.runtime.replication.replica import Replica
-from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.vehicle.platform import Sensed
@@ -37,7 +38,7 @@ VARIABLES = (
 )
 
 
-_round: Callable[..., Message] = Round
+_round: Callable[..., Message] = RoundMessage
 
 
 class Violation(Exception):
@@ -54,9 +55,15 @@ class Kept:
     lives: dict[int, Life] = field(default_factory=dict)
 
     def keep(self, life: Life) -> None:
+        """As in the file, the lives written last stay, not those of the last rounds: a robot that loses contention
+        writes the one of its last event again."""
+        self.lives.pop(life.round, None)
         self.lives[life.round] = life
-        for old in sorted(self.lives)[:-KEPT]:
+        for old in list(self.lives)[:-KEPT]:
             del self.lives[old]
+
+    def persist(self, state: HardState) -> None:
+        self.view, self.applied, self.vote = state.view, state.applied, state.vote
 
 
 @dataclass
@@ -74,17 +81,15 @@ class Wire:
         self.pid = pid
         self.metrics = Metrics(pid, n)
         self._flights = flights
-        self._head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
+        self.head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
         self.rejected: list[str] = []
         self.speech = self
 
     def say(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
-        self._flights.extend(Flight(p, kind(self._head, *fields)) for p in to)
+        self._flights.extend(Flight(p, kind(self.head, *fields)) for p in to)
 
-    def round(
-        self, to: Collection[int], word: Sequence[Any], closings: Sequence[Closing], partly: object = None
-    ) -> None:
-        self._flights.extend(Flight(p, _round(self._head, *word, tuple(closings))) for p in to)
+    def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:
+        self._flights.extend(Flight(p, _round(self.head, *fields)) for p in to)
 
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)
@@ -149,14 +154,20 @@ class Body:
 @dataclass
 class Robot:
     replica: Replica
+    driver: Driver
     rounds: Rounds
     program: Program
     wire: Wire
     kept: Kept
 
     @property
-    def memory(self) -> Memory | None:
-        return self.replica.memory
+    def state(self) -> StateMachine | None:
+        return self.replica.state
+
+    def adopt(self, view: View) -> None:
+        """Let the robot know a decided view."""
+        self.replica.views.adopt(view)
+        self.driver.flush()
 
 
 @dataclass
@@ -181,26 +192,27 @@ class Fleet:
         self._wish = wish
         self._outputs: list[list[int]] = [[] for _ in range(n)]
         kept = [Kept(self.views[0], lives={0: Life(0, FIRST, {}, False)}) for _ in range(n)]
-        inits = [Closing(p, 0, 0, 0) for p in range(n)]
-        self.robots = [self._start(p, kept[p], Memory.begin(self.layout, p, self.views[0], inits)) for p in range(n)]
+        inits = [Entry(p, 0, 0, 0) for p in range(n)]
+        self.robots = [
+            self._start(p, kept[p], StateMachine.begin(self.layout, p, self.views[0], inits)) for p in range(n)
+        ]
 
-    def _start(self, pid: int, kept: Kept, memory: Memory | None) -> Robot:
+    def _start(self, pid: int, kept: Kept, state: StateMachine | None) -> Robot:
         wire = Wire(pid, self.n, self.flights)
 
-        def announce(view: View, applied: int, vote: Vote) -> None:
-            kept.view, kept.applied, kept.vote = view, applied, vote
-
-        replica = Replica(cast(Any, wire), self.layout, memory, kept.view, kept.vote, kept.applied, TIMEOUT, announce)
+        hard_state = HardState(kept.view, kept.applied, kept.vote)
+        replica = Replica(pid, self.layout, state, hard_state, TIMEOUT, wire.room)
+        driver = Driver(replica, cast(Any, wire), kept.persist, lambda private: kept.keep(private[0]))
         program = Program(pid, lambda: self._wish(pid))
         lives = [kept.lives[r] for r in sorted(kept.lives)]
         program.locals = cast(Mapping[str, int], lives[-1].locals)
         body = Body(self._outputs[pid].append)
         clock = SimpleNamespace(read=lambda t: t, local=lambda t: t)
         rounds = Rounds(
-            cast(Any, program), cast(Any, body), replica, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
-            1.0, lives, lambda record: self._final(pid, record), lambda life, incarnation: kept.keep(life),
+            cast(Any, program), cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
+            1.0, lives, lambda record: self._final(pid, record),
         )  # fmt: skip
-        return Robot(replica, rounds, program, wire, kept)
+        return Robot(replica, driver, rounds, program, wire, kept)
 
     def restart(self, pid: int) -> None:
         """The robot's process dies and there is another."""
@@ -215,7 +227,7 @@ class Fleet:
         self._check(pid)
 
     def deliver(self, flight: Flight) -> None:
-        self.robots[flight.to].rounds.take([flight.message])
+        self.robots[flight.to].rounds.receive([cast(Any, flight.message)])
         if isinstance(flight.message, Decided):
             self._know(flight.message.value)
 
@@ -268,11 +280,11 @@ class Fleet:
                 raise Violation(f"P3: {final} is not in {where}")
 
     def _check(self, pid: int) -> None:
-        memory = self.robots[pid].memory
+        state = self.robots[pid].state
         self._know(self.robots[pid].replica.views.view)
-        if memory is None:
+        if state is None:
             return
-        store, round_, number = memory.shared, memory.applied, memory.view.number
+        store, round_, number = state.shared, state.applied, state.view.number
         if store["count"] != sum(store["wins"]):
             raise Violation(f"P1: {store['count']} commits counted of {store['wins']}, robot {pid}, round {round_}")
         if not self.official(number, round_):

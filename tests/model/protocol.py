@@ -1,14 +1,14 @@
 """The protocol of the shared memory as a model: what three robots can do next, from any state they can be in.
 
-The rules themselves are the runtime's (`promised`, `voted`, `choose`, `majority`, `Words.stable`, `counting`
-with `winner`, `Comeback.incarnation`), called here. The model adds who knows what, and every course of the network:
+The rules themselves are the runtime's (`promise`, `accept`, `choose`, `majority`, `commit_index`, `arbitrate`
+with `winner`, `Rejoin.incarnation`), called here. The model adds who knows what, and every course of the network:
 
 - What was ever said stays said, and is heard whenever its receiver makes use of it, once, twice or never. So a message
   may be lost, doubled, late or overtaken, and a partition is that nobody makes use of the other side's.
 - A robot that is down does nothing; so a crash is the loss of what is not kept, and the restart follows at once. It may
-  take closings with it that nobody else has.
+  take entries with it that nobody else has.
 - Time is left out: any member may be doubted, and a round may be closed, at any moment.
-- An empty closing is made up when somebody needs it and its author could have sent it; before, it is not stored.
+- An empty entry is made up when somebody needs it and its author could have sent it; before, it is not stored.
 - An output leaves as soon as it may, and a round is announced when it is applied: to wait makes less possible.
 """
 
@@ -19,7 +19,8 @@ from itertools import combinations
 
 from koordgen.runtime.net.wire import MAX_ROBOTS, View
 from koordgen.runtime.replication import views
-from koordgen.runtime.replication.views import Word
+from koordgen.runtime.replication.progress import majority
+from koordgen.runtime.replication.views import Report
 from tests.model.rounds import Rounds
 from tests.model.state import (
     Life,
@@ -75,16 +76,16 @@ class Protocol(Rounds):
             return None
         bound = robot.vote.promised if robot.vote.number == number else 0
         ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + pid
-        vote = views.promised(robot.vote, number, ballot)
+        vote = views.promise(robot.vote, number, ballot)
         assert vote is not None
         return self.settled(state._replace(robots=changed(state.robots, pid, robot._replace(vote=vote, ballot=ballot))))
 
-    def _word(self, robot: Robot) -> Word:
-        return Word(robot.view, robot.said, robot.store, robot.vote.voted, robot.vote.value)
+    def _word(self, robot: Robot) -> Report:
+        return Report(robot.view, robot.said, robot.store, robot.vote.voted, robot.vote.value)
 
     def promise(self, state: State, pid: int, ballot: int) -> State | None:
         robot = state.robots[pid]
-        vote = views.promised(robot.vote, robot.view + 1, ballot)
+        vote = views.promise(robot.vote, robot.view + 1, ballot)
         if vote is None or (robot.view + 1, ballot) in {p[:2] for p in state.puts}:
             return None
         robot = robot._replace(vote=vote)
@@ -110,7 +111,7 @@ class Protocol(Rounds):
                 if value is None or value in done:
                     continue
                 done.add(value)
-                vote, held = views.voted(robot.vote, ballot, value), self._gather(state, pid, value)
+                vote, held = views.accept(robot.vote, ballot, value), self._gather(state, pid, value)
                 if vote is not None and held is not None:
                     robots = changed(state.robots, pid, robot._replace(vote=vote, held=held))
                     after = state._replace(
@@ -120,7 +121,7 @@ class Protocol(Rounds):
                     )
                     yield sorted(words), self._counted_votes(after, number, ballot, value)
 
-    def _choose(self, view: View, words: dict[int, Word]) -> View | None:
+    def _choose(self, view: View, words: dict[int, Report]) -> View | None:
         key = view, tuple(sorted(words.items(), key=lambda item: item[0]))
         if key not in self._chosen:
             self._chosen[key] = views.choose(view, words)
@@ -130,7 +131,7 @@ class Protocol(Rounds):
         robot = state.robots[pid]
         if number <= robot.view or (number, ballot, pid) in state.votes:
             return None
-        vote, held = views.voted(robot.vote, ballot, value), self._gather(state, pid, value)
+        vote, held = views.accept(robot.vote, ballot, value), self._gather(state, pid, value)
         if vote is None or held is None:
             return None
         robots = changed(state.robots, pid, robot._replace(vote=vote, held=held))
@@ -138,7 +139,7 @@ class Protocol(Rounds):
         return self._counted_votes(after, number, ballot, value)
 
     def _counted_votes(self, state: State, number: int, ballot: int, value: View) -> State:
-        if sum(v[:2] == (number, ballot) for v in state.votes) < views.majority(N):
+        if sum(v[:2] == (number, ballot) for v in state.votes) < majority(N):
             return self.settled(state)
         if number < len(state.decided):
             if state.decided[number] != value:
@@ -154,7 +155,7 @@ class Protocol(Rounds):
         return self.settled(state)
 
     def _gather(self, state: State, pid: int, value: View) -> int | None:
-        """Up to which round a robot has the closings when it votes for a view; None: it must not vote yet."""
+        """Up to which round a robot has the entries when it votes for a view; None: it must not vote yet."""
         robot = state.robots[pid]
         if not self.rules.holders or not robot.store:
             return robot.held

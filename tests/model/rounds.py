@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
-from koordgen.runtime.net.ledger import Ledger
-from koordgen.runtime.net.wire import Closing, View
-from koordgen.runtime.replication.comeback import Comeback
-from koordgen.runtime.replication.log import Entry
-from koordgen.runtime.replication.outcome import counting
-from koordgen.runtime.replication.views import Vote
-from koordgen.runtime.replication.words import Words
+from koordgen.runtime.net.wire import Entry, View
+from koordgen.runtime.replication import progress
+from koordgen.runtime.replication.apply import arbitrate
+from koordgen.runtime.replication.log import Logged
+from koordgen.runtime.replication.messages import Vote
+from koordgen.runtime.replication.progress import Progress
+from koordgen.runtime.replication.rejoin import Rejoin
 from tests.model.state import (
     AS_THEY_ARE,
     COMMIT,
@@ -122,7 +122,7 @@ class Rounds:
         """Under which it closes rounds now; -1: it does not."""
         robot = state.robots[pid]
         view = state.decided[robot.view]
-        return view.members[pid] if robot.store else Comeback(pid, robot.base).incarnation(view)
+        return view.members[pid] if robot.store else Rejoin(pid, robot.base).incarnation(view)
 
     def _apply(self, state: State, pid: int, round_: int, closings: tuple[tuple[int, int, int], ...]) -> State:
         robot = state.robots[pid]
@@ -150,15 +150,13 @@ class Rounds:
         found = self._counted.get(key)
         if found is None:
             entries = [
-                Entry(Closing(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
+                Logged(Entry(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
                 for a, i, kind in closings
             ]
-            commits, others = counting(entries, round_, N)
+            commits, others = arbitrate(entries, round_, N)
             if len(commits) > 1:
                 raise Violation(f"P1: round {round_}: more than one commit of {closings} counts")
-            found = tuple(
-                sorted((e.closing.author, e.closing.incarnation) for e in (*commits, *others) if e.closing.acted)
-            )
+            found = tuple(sorted((e.entry.author, e.entry.incarnation) for e in (*commits, *others) if e.entry.acted))
             self._counted[key] = found
         return found
 
@@ -205,10 +203,10 @@ class Rounds:
         key = state.decided[robot.view], robot.applied, heard, robot.pending
         found = self._stable.get(key)
         if found is None:
-            words = Words(Ledger(N, N))
-            for other, (view, applied) in enumerate(heard):
-                words.hear(other, True, view, applied, (), 0, asks=False)
-            found = self._stable[key] = words.stable(robot.pending, robot.applied, key[0])
+            peers = [Progress() for _ in heard]
+            for peer, (view, applied) in zip(peers, heard, strict=True):
+                peer.report(view, applied, (), 0, again=False)
+            found = self._stable[key] = robot.pending <= progress.commit_index(peers, key[0], robot.applied)
         return found
 
     def _flush(self, state: State, pid: int) -> State:

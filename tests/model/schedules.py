@@ -1,4 +1,4 @@
-"""Random schedules of the real shared memory: delay, reordering, repetition, loss, partition, crash and restart; then a
+"""Random schedules of the real shared state: delay, reordering, repetition, loss, partition, crash and restart; then a
 time without any of it, in which all must come together again."""
 
 from __future__ import annotations
@@ -82,16 +82,16 @@ class Schedule:
 
     def _together(self) -> None:
         robots = self.fleet.robots
-        memories = [r.memory for r in robots]
-        if None in memories:
-            out = [p for p, m in enumerate(memories) if m is None]
+        states = [r.state for r in robots]
+        if None in states:
+            out = [p for p, m in enumerate(states) if m is None]
             raise Violation(f"P7: after {HEAL} rounds robots {out} are out: {[r.replica.views.view for r in robots]}")
         for pid, robot in enumerate(robots):
-            memory = robot.memory
-            assert memory is not None
-            if memory.applied < self.rounds + HEAL - 2:
-                raise Violation(f"P7: robot {pid} has applied only {memory.applied}")
-            if memory.shared["mine"][pid] != robot.program.locals["events"]:
-                raise Violation(f"P3: robot {pid} has {robot.program.locals}, the fleet {memory.shared}")
-            if memory.shared["wins"][pid] != robot.program.locals["wins"]:
-                raise Violation(f"P3: robot {pid} has {robot.program.locals}, the fleet {memory.shared}")
+            state = robot.state
+            assert state is not None
+            if state.applied < self.rounds + HEAL - 2:
+                raise Violation(f"P7: robot {pid} has applied only {state.applied}")
+            if state.shared["mine"][pid] != robot.program.locals["events"]:
+                raise Violation(f"P3: robot {pid} has {robot.program.locals}, the fleet {state.shared}")
+            if state.shared["wins"][pid] != robot.program.locals["wins"]:
+                raise Violation(f"P3: robot {pid} has {robot.program.locals}, the fleet {state.shared}")

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from koordgen.runtime.net.wire import View
-from koordgen.runtime.replication.views import Vote, Word
+from koordgen.runtime.replication.messages import Vote
+from koordgen.runtime.replication.views import Report
 
 N = 3
 SKIP, PLAIN, COMMIT = 0, 1, 2
@@ -32,11 +33,11 @@ class Robot(NamedTuple):
     ballot: int = 0
     pending: int = 0
     said: int = 0
-    held: int = 0  # it has everyone's closings up to here, also of rounds that it may not apply
+    held: int = 0  # it has everyone's entries up to here, also of rounds that it may not apply
 
 
 class Life(NamedTuple):
-    """The closings of one incarnation from round `first` on; others can get those of the first `heard` rounds."""
+    """The entries of one incarnation from round `first` on; others can get those of the first `heard` rounds."""
 
     incarnation: int
     first: int
@@ -54,7 +55,7 @@ class State(NamedTuple):
     words: tuple[tuple[int, ...], ...] = ((0,),) * N
     histories: tuple[tuple[tuple[tuple[int, int], ...], ...], ...] = ((),)
     decided: tuple[View, ...] = (FIRST,)
-    promises: frozenset[tuple[int, int, int, Word]] = frozenset()
+    promises: frozenset[tuple[int, int, int, Report]] = frozenset()
     puts: frozenset[tuple[int, int, View]] = frozenset()
     votes: frozenset[tuple[int, int, int]] = frozenset()
     final: frozenset[Event] = frozenset()

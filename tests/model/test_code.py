@@ -7,8 +7,7 @@ from contextlib import suppress
 import pytest
 
 from koordgen.runtime.agent.outbox import Outbox
-from koordgen.runtime.replication import memory, views
-from koordgen.runtime.replication.replica import Replica
+from koordgen.runtime.replication import replica, state_machine, views
 from tests.model.lab import Violation
 from tests.model.schedules import Schedule
 
@@ -39,9 +38,9 @@ def test_many_schedules_keep_what_is_promised(n: int, seeds: range) -> None:
 
 
 BROKEN = {
-    "promises freeze nobody": (Replica, "_freeze", lambda self: None),
-    "one's own word is enough": (memory.Memory, "stable", lambda self, round_: self.applied >= round_),
-    "every commit counts": (memory, "counting", lambda entries, round_, n_sys: (list(entries), [])),
+    "promises freeze nobody": (views.Views, "is_frozen", property(lambda self: False)),
+    "one's own word is enough": (replica, "commit_index", lambda peers, view, applied: applied),
+    "every commit counts": (state_machine, "arbitrate", lambda entries, round_, n_sys: (list(entries), [])),
     "one vote decides": (views, "majority", lambda n_sys: 1),
     "who comes back goes on where it was": (
         Outbox, "settle", lambda self, acted: (self.life, [w.record for w in self._waiting]),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from msgspec.structs import replace
 
-from koordgen.runtime.net.wire import Closing, Need, Round
+from koordgen.runtime.net.wire import Entry, Nack, RoundMessage
 from koordgen.runtime.replication.replica import Replica
 from tests.model.lab import SENSED, Fleet, Flight
 from tests.model.test_found import rounds_of_all
@@ -21,16 +21,16 @@ def alone(late: float, lost: bool = False, until: float = 8.0) -> Iterator[tuple
     fleet = Fleet(3)
     rounds_of_all(fleet, 3)
     fleet.poll(1, 3.0)
-    (said,) = fleet.take(lambda f: f.to == 0 and isinstance(f.message, Round) and f.message.head.pid == 1)[-1:]
+    (said,) = fleet.take(lambda f: f.to == 0 and isinstance(f.message, RoundMessage) and f.message.head.pid == 1)[-1:]
     fleet.flights.clear()
     if lost:
-        fleet.deliver(Flight(0, replace(said.message, closings=(Closing(1, 0, 5, 5),))))
+        fleet.deliver(Flight(0, replace(said.message, entries=(Entry(1, 0, 5, 5),))))
     due = 3.0
     while due < 7.99:
         next_ = fleet.robots[0].rounds.poll(due + (late if due < until else 0.01), lambda t: SENSED, None)
-        memory = fleet.robots[0].memory
-        assert memory is not None
-        yield round(due, 3), memory.held[0], any(isinstance(f.message, Need) for f in fleet.take(lambda f: True))
+        state = fleet.robots[0].state
+        assert state is not None
+        yield round(due, 3), state.held[0], any(isinstance(f.message, Nack) for f in fleet.take(lambda f: True))
         due = next_
 
 
@@ -51,7 +51,7 @@ def test_who_wakes_late_asks_seldom_and_once_in_a_round(late: float, lost: bool,
 
 @pytest.mark.parametrize("late", [0.01, 0.15])
 def test_who_wakes_late_again_and_again_closes_at_once_what_it_lacks_the_last_round_for(late: float) -> None:
-    """Others leave each round open for half of it: 4 is the first that closings are missing of."""
+    """Others leave each round open for half of it: 4 is the first that entries are missing of."""
     closed: dict[int, float] = {}
     for due, round_, _ in alone(late):
         closed.setdefault(round_, due)
@@ -66,7 +66,7 @@ def test_who_wakes_late_and_waits_wakes_when_something_is_due_and_not_at_each_sl
     assert [due for due, *_ in alone(0.15)] == [3.0, 3.6, 4.0, 4.5, 5.0, 6.0, 7.0]
 
 
-def test_who_comes_when_its_closing_is_due_is_not_late() -> None:
+def test_who_comes_when_its_entry_is_due_is_not_late() -> None:
     """It was in round 4, and shares a busy computer in 5, but no longer in 6."""
     closed: dict[int, float] = {}
     for due, round_, _ in alone(0.15, until=4.0):
@@ -75,23 +75,23 @@ def test_who_comes_when_its_closing_is_due_is_not_late() -> None:
 
 
 def test_while_a_view_is_changing_who_is_late_wakes_at_each_slot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Replica, "busy", lambda self: True)
+    monkeypatch.setattr(Replica, "is_busy", property(lambda self: True))
     assert len([due for due, *_ in alone(0.15)]) >= 20
 
 
 def test_who_is_late_and_current_waits_for_its_last_event_to_be_confirmed() -> None:
-    """All closings come in time, and nobody says to have applied any."""
+    """All entries come in time, and nobody says to have applied any."""
     fleet = Fleet(3, lambda pid: "plain" if pid == 0 else "")
     opened: list[float] = []
     for round_ in range(1, 6):
         for pid in (1, 2, 0):
             fleet.poll(pid, round_ - 1 + 0.15)
-        memory = fleet.robots[0].memory
-        assert memory is not None
-        opened += [round_] * (memory.held[0] < round_)
+        state = fleet.robots[0].state
+        assert state is not None
+        opened += [round_] * (state.held[0] < round_)
         fleet.poll(0, round_ - 1 + 0.52)
-        for flight in fleet.take(lambda f: isinstance(f.message, Round)):
-            unsaid = flight.to == 0 and isinstance(flight.message, Round)
+        for flight in fleet.take(lambda f: isinstance(f.message, RoundMessage)):
+            unsaid = flight.to == 0 and isinstance(flight.message, RoundMessage)
             fleet.deliver(Flight(flight.to, replace(flight.message, applied=0) if unsaid else flight.message))
         fleet.flights.clear()
         for pid in range(3):
@@ -104,6 +104,6 @@ def test_each_robot_is_patient_for_itself_from_the_first_round_on() -> None:
     for pid, robot in enumerate(fleet.robots):
         robot.rounds.poll(-0.5, lambda t: SENSED, None)
         robot.rounds.poll(0.01 + 0.14 * (pid == 1), lambda t: SENSED, None)
-    patience = [robot.rounds._patience for robot in fleet.robots]
-    assert [p.strained(1) for p in patience] == [False, True, False]
+    patience = [robot.replica.policy for robot in fleet.robots]
+    assert [p.is_strained(1) for p in patience] == [False, True, False]
     assert [(p.pid, p.n_sys) for p in patience] == [(0, 3), (1, 3), (2, 3)]

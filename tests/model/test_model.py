@@ -3,17 +3,18 @@ missed when it is broken."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import pytest
 
 from koordgen.runtime.net.wire import View
-from koordgen.runtime.replication import views, words
-from koordgen.runtime.replication.comeback import Comeback
-from koordgen.runtime.replication.views import Word, majority
-from koordgen.runtime.replication.words import Words
-from tests.model import rounds
+from koordgen.runtime.replication import progress, views
+from koordgen.runtime.replication.messages import Vote
+from koordgen.runtime.replication.progress import Progress, majority
+from koordgen.runtime.replication.rejoin import Rejoin
+from koordgen.runtime.replication.views import Report
+from tests.model import protocol, rounds
 from tests.model.explore import BEGIN, Found, explore
 from tests.model.heal import Healing
 from tests.model.protocol import Protocol
@@ -78,7 +79,7 @@ def one(n_sys: int) -> int:
     return 1
 
 
-def least(view: View, words: Mapping[int, Word]) -> View | None:
+def least(view: View, words: Mapping[int, Report]) -> View | None:
     """`choose`, but the view ends with the least round that one of them has applied."""
     value = CHOOSE(view, words)
     if value is None or any(w.accepted for w in words.values()):
@@ -90,7 +91,7 @@ def replace_since(value: View, since: int) -> View:
     return View(value.number, since, value.members)
 
 
-def whoever(view: View, words: Mapping[int, Word]) -> View | None:
+def whoever(view: View, words: Mapping[int, Report]) -> View | None:
     """`choose`, but who lost its store goes on as if it had not."""
     value = CHOOSE(view, words)
     if value is None or any(w.accepted for w in words.values()):
@@ -99,36 +100,36 @@ def whoever(view: View, words: Mapping[int, Word]) -> View | None:
     return View(value.number, value.since, members)
 
 
-def deaf(view: View, words: Mapping[int, Word]) -> View | None:
+def deaf(view: View, words: Mapping[int, Report]) -> View | None:
     """`choose`, but without heed to what was voted for."""
-    return CHOOSE(view, {p: Word(w.view, w.applied, w.state) for p, w in words.items()})
+    return CHOOSE(view, {p: Report(w.view, w.applied, w.has_store) for p, w in words.items()})
 
 
-def everywhere(self: Words, round_: int, applied: int, view: View) -> bool:
-    """`stable`, but whatever view was meant."""
-    said = sum(self._applied[p] >= round_ for p in self._others)
-    return applied >= round_ and 1 + said >= majority(self._n)
+def everywhere(peers: Collection[Progress], view: View, applied: int) -> int:
+    """`commit_index`, but whatever view was meant."""
+    reported = sorted(peer.applied for peer in peers)
+    return min(applied, reported[1 - majority(len(reported) + 1)])
 
 
-def alone(self: Words, round_: int, applied: int, view: View) -> bool:
-    return applied >= round_
+def alone(peers: Collection[Progress], view: View, applied: int) -> int:
+    return applied
 
 
-def unbound(vote: views.Vote, number: int, ballot: int) -> views.Vote:
-    return views.Vote(number, ballot)
+def unbound(vote: Vote, number: int, ballot: int) -> Vote:
+    return Vote(number, ballot)
 
 
 CHOOSE = views.choose
 
 
 SHARED: list[tuple[str, object, str, object, Bounds, State]] = [
-    ("one vote decides", views, "majority", one, RIVALS, BEGIN),
-    ("one word makes stable", words, "majority", one, SMALL, BEGIN),
+    ("one vote decides", protocol, "majority", one, RIVALS, BEGIN),
+    ("one report commits", progress, "majority", one, SMALL, BEGIN),
     ("a view ends with the least applied round", views, "choose", least, SMALL, BEGIN),
     ("votes are not heeded", views, "choose", deaf, RIVALS, BEGIN),
-    ("a promise binds to nothing", views, "promised", unbound, RIVALS, BEGIN),
-    ("stable without others", Words, "stable", alone, SMALL, BEGIN),
-    ("stable by words of another view", Words, "stable", everywhere, LATER, LEFT_OUT),
+    ("a promise binds to nothing", views, "promise", unbound, RIVALS, BEGIN),
+    ("committed without others", progress, "commit_index", alone, SMALL, BEGIN),
+    ("committed by reports of another view", progress, "commit_index", everywhere, LATER, LEFT_OUT),
 ]
 OWN: list[tuple[str, Rules, Bounds, State]] = [
     ("who has promised goes on", Rules(freezes=False), SMALL, BEGIN),
@@ -161,14 +162,14 @@ def test_a_rule_of_the_model_that_is_broken_is_missed(rules: Rules, bounds: Boun
 
 def test_who_keeps_its_incarnation_without_its_store_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(views, "choose", whoever)
-    monkeypatch.setattr(Comeback, "incarnation", lambda self, view: view.members[self.pid])
+    monkeypatch.setattr(Rejoin, "incarnation", lambda self, view: view.members[self.pid])
     found = explore(Protocol(CHANGE), most=300_000)
     print(found)
     assert found.violation
 
 
 def test_two_commits_that_count_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounds, "counting", lambda entries, round_, n_sys: (list(entries), []))
+    monkeypatch.setattr(rounds, "arbitrate", lambda entries, round_, n_sys: (list(entries), []))
     found = explore(Protocol(ROUNDS))
     assert found.violation.startswith("P1")
 

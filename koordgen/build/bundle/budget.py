@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 # As koordgen/runtime/net/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
 DATAGRAM = 1200
-MOST_CLOSING, MOST_PIECES, MOST_SHARED = 128 * 1024, 256, 256
-_WRITE, _CLOSING = 5, 38
+MOST_ENTRY, MOST_FRAGMENTS, MOST_SHARED = 128 * 1024, 256, 256
+_WRITE, _ENTRY = 5, 38
 LONGEST_DELTA = 60.0  # seconds, as in koordgen/fleet/file.py
 _UDP, _IP, _FRAME = 8, 20, 38  # bytes of a datagram; of each packet that it takes; on Ethernet, gap included, likewise
 
@@ -32,11 +32,11 @@ def check_budget(program: Program, robots: int) -> list[Diagnostic]:
     if len(program.shared) > MOST_SHARED:
         message = f"a program of {len(program.shared)} shared variables; at most {MOST_SHARED} are supported"
         return [Diagnostic("B004", "error", message, program.shared[-1].span, help="gather some of them in records")]
-    return [*(_check_closing(program, robots) or _check_store(program, robots)), *_check_init(program, robots)]
+    return [*(_check_entry(program, robots) or _check_store(program, robots)), *_check_init(program, robots)]
 
 
-def _check_closing(program: Program, robots: int) -> list[Diagnostic]:
-    room, total = most_closing(robots), _closing(program.shared)
+def _check_entry(program: Program, robots: int) -> list[Diagnostic]:
+    room, total = most_entry(robots), _entry(program.shared)
     if total <= room:
         return []
     largest = max(program.shared, key=lambda v: most_bytes(v.type))
@@ -65,7 +65,7 @@ def _less(program: Program, largest: Shared, robots: int) -> str:
 
     def fits(variable: Shared) -> bool:
         shared = _with(program.shared, variable)
-        return _closing(shared) <= most_closing(robots) and store_bytes(shared, robots) <= most_store(robots)
+        return _entry(shared) <= most_entry(robots) and store_bytes(shared, robots) <= most_store(robots)
 
     found = _capacity(largest, fits)
     less = "share fewer or smaller variables, or declare smaller capacities with `max`"
@@ -80,7 +80,7 @@ def _check_init(program: Program, robots: int) -> list[Diagnostic]:
     largest = max(written, key=lambda pair: pair[1])[0]
     each = " + ".join(f"{most} for {v.name}" for v, most in written if most)
     message = (
-        f"what `init` writes to shared variables must fit in one datagram; it takes up to {total} bytes: {_CLOSING} + "
+        f"what `init` writes to shared variables must fit in one datagram; it takes up to {total} bytes: {_ENTRY} + "
         f"{each}; with {robots} robots there is room for {room}"
     )
     found = _capacity(largest, lambda v: _init_bytes(program, _with(program.shared, v)) <= room)
@@ -89,15 +89,15 @@ def _check_init(program: Program, robots: int) -> list[Diagnostic]:
     return [Diagnostic("B004", "error", message, largest.span, help=help)]
 
 
-def most_closing(robots: int) -> int:
-    """The most bytes that a closing may have in a fleet of that size."""
-    return min(MOST_CLOSING, most_store(robots))
+def most_entry(robots: int) -> int:
+    """The most bytes that an entry may have in a fleet of that size."""
+    return min(MOST_ENTRY, most_store(robots))
 
 
 def most_store(robots: int) -> int:
     """The most bytes that all shared variables may take in a fleet of that size: a robot that comes back gets them in
-    pieces."""
-    return MOST_PIECES * (DATAGRAM - overhead(robots))
+    fragments."""
+    return MOST_FRAGMENTS * (DATAGRAM - overhead(robots))
 
 
 def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
@@ -109,12 +109,12 @@ def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
 
 
 def most_init(robots: int) -> int:
-    """The most bytes of the closing that tells what `init` wrote: it goes in one datagram, a Hello."""
+    """The most bytes of the entry that tells what `init` wrote: it goes in one datagram, a Hello."""
     return DATAGRAM - (146 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
 
 
 class Traffic(Node):
-    """What a fleet puts on its medium in one round at most. `writes` are the bytes of the longest closing, `datagrams`
+    """What a fleet puts on its medium in one round at most. `writes` are the bytes of the longest entry, `datagrams`
     those in which it goes to one receiver; `word` and `acknowledgement` the bytes of these and of the datagram that
     says when it has been applied, headers of packets included."""
 
@@ -134,14 +134,14 @@ class Traffic(Node):
 
 
 def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -> Traffic:
-    """For closings that write these variables. `to_all`: one datagram reaches all others (broadcast, multicast)."""
-    writes = _closing(shared)
+    """For entries that write these variables. `to_all`: one datagram reaches all others (broadcast, multicast)."""
+    writes = _entry(shared)
     head = overhead(robots)
     room = DATAGRAM - head
     alone = on_the_medium(head, link.mtu)
     if writes <= room:
         datagrams, word = 1, on_the_medium(head + writes, link.mtu)
-    else:  # pieces, and the word that tells of them
+    else:  # fragments, and the word that tells of them
         full, rest = divmod(writes, room)
         datagrams = full + bool(rest) + 1
         word = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
@@ -175,7 +175,7 @@ def check_link(
             "that is lost delays the round"
         )
         room = DATAGRAM - overhead(robots)
-        fits = _capacity(largest, lambda v: _closing(_with(shared, v)) <= room)
+        fits = _capacity(largest, lambda v: _entry(_with(shared, v)) <= room)
         help = f"they fit in one with {fits}" if fits else "write fewer or smaller variables in one event"
         told.append(Diagnostic("B009", "warning", message, span, help=help))
     return told
@@ -223,7 +223,7 @@ def _up(value: float) -> str:
 def _longest(program: Program) -> tuple[Shared, ...]:
     """The variables that are written by the event whose writes take most."""
     written = (_written(event.effect) for event in program.events)
-    return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_closing, default=())
+    return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_entry, default=())
 
 
 def _written(block: stmt.Block) -> set[str]:
@@ -243,7 +243,7 @@ def _written(block: stmt.Block) -> set[str]:
 
 
 def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
-    return _CLOSING + sum(_most_in(program.init, v) for v in shared)
+    return _ENTRY + sum(_most_in(program.init, v) for v in shared)
 
 
 def _most_in(block: stmt.Block, variable: Shared) -> int:
@@ -308,7 +308,7 @@ def most_bytes(type_: Type) -> int:
 
 
 def overhead(robots: int) -> int:
-    """The most bytes of a datagram beside its closings: head, clock echoes of up to 8 robots, what is held of each.
+    """The most bytes of a datagram beside its entries: head, clock echoes of up to 8 robots, what is held of each.
     With one or two robots a Hello has more."""
     echoes = 20 * min(robots, 8)
     return echoes + max(152 + robots, 141 + 5 * robots + (2 if robots >= 16 else 0))
@@ -318,9 +318,9 @@ def _head(count: int, shortest: int, short: int) -> int:
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 
-def _closing(shared: tuple[Shared, ...]) -> int:
-    """The most bytes of a closing that writes these variables."""
-    return _CLOSING + sum(_WRITE + most_bytes(v.type) for v in shared)
+def _entry(shared: tuple[Shared, ...]) -> int:
+    """The most bytes of an entry that writes these variables."""
+    return _ENTRY + sum(_WRITE + most_bytes(v.type) for v in shared)
 
 
 def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:

@@ -19,7 +19,7 @@ from hashlib import blake2s
 
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
-from koordgen.runtime.net.wire import Closing, Hello, epoch_of
+from koordgen.runtime.net.wire import Entry, Hello, epoch_of
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
 FEW = 32  # robots; in a larger fleet the period is longer, or Hellos would leave no time for anything else
@@ -42,7 +42,7 @@ class _Other:
 
     adoptions: int = 0
     challenge: bytes = b""  # of its, for us to answer
-    init: Closing | None = None
+    init: Entry | None = None
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
     idle: bool = False  # it is in no mission
@@ -52,11 +52,11 @@ class _Other:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """An agreed beginning: fleet time of round 1 and everyone's round-0 closing by pid."""
+    """An agreed beginning: fleet time of round 1 and everyone's round-0 entry by pid."""
 
     epoch: bytes
     start: float
-    inits: tuple[Closing, ...]
+    inits: tuple[Entry, ...]
 
 
 class Joining:
@@ -68,7 +68,7 @@ class Joining:
         self._names = names
         self._pid = link.pid
         self._others = {p: _Other() for p in range(len(names)) if p != link.pid}
-        self._init: Closing | None = None
+        self._init: Entry | None = None
         self._start: float | None = None
         self._next = 0.0
         self._period = PERIOD * max(1.0, len(names) / FEW)
@@ -109,7 +109,7 @@ class Joining:
         """The start of round 1 of the mission that this robot comes back to, once it has heard it."""
         return self._start if self._returning else None
 
-    def ready(self, init: Closing) -> None:
+    def ready(self, init: Entry) -> None:
         """The own `init` has run: this robot begins a mission."""
         self._init = init
         if self._returning:
@@ -270,7 +270,7 @@ class Joining:
         text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
         return blake2s(text, digest_size=8, person=b"k-hello").digest()
 
-    def _inits(self) -> tuple[Closing, ...] | None:
+    def _inits(self) -> tuple[Entry, ...] | None:
         inits = {p: o.init for p, o in self._others.items()} | {self._pid: self._init}
         held = tuple(init for _, init in sorted(inits.items()) if init is not None)
         return held if len(held) == len(inits) else None

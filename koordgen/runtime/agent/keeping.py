@@ -7,7 +7,7 @@ import msgspec
 from koordgen.runtime.agent.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
 from koordgen.runtime.net.wire import View, encoder
 from koordgen.runtime.program.program import Life, Program
-from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.messages import HardState, Vote
 
 
 class Keeping:
@@ -42,14 +42,15 @@ class Keeping:
             self.life(init, 0)
 
     def life(self, life: Life, incarnation: int) -> None:
-        """Keep the robot's own variables after an event, before its closing leaves."""
+        """Persist the robot's own variables after an event, and the incarnation that ran it."""
         own, actuators = self._codec.encode(life.locals, life.actuators)
         self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
 
-    def announce(self, view: View, applied: int, vote: Vote) -> None:
-        """Keep what this robot says of itself to the others, before it does."""
-        said, voted, encoded, value = self._said
-        if view is not said or vote is not voted:
+    def hard_state(self, state: HardState) -> None:
+        """Persist what this robot has committed itself to."""
+        view, applied, vote = state.view, state.applied, state.vote
+        known_view, known_vote, encoded, value = self._said
+        if view is not known_view or vote is not known_vote:
             encoded, value = encoder.encode(view), b"" if vote.value is None else encoder.encode(vote.value)
             self._said = view, vote, encoded, value
         self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
@@ -63,11 +64,16 @@ class Keeping:
                 found.append(Life(kept.round, *decoded, kept.stopped))
         return found
 
-    def announced(self) -> tuple[View, int, Vote]:
-        """What an earlier process has said of itself: the view, the last round applied in it, and its vote."""
+    def last_hard_state(self) -> HardState:
+        """Return what an earlier process of this robot has persisted, or the hard state of a new mission."""
         kept = self.past.acceptor
         if kept is None:
-            return View(0, 1, (0,) * self._n), 0, Vote()
+            return first_hard_state(self._n)
         view = msgspec.msgpack.decode(kept.view, type=View)
         value = msgspec.msgpack.decode(kept.accepted, type=View) if kept.accepted else None
-        return view, kept.applied, Vote(kept.number, kept.promised, kept.accepted_ballot, value)
+        return HardState(view, kept.applied, Vote(kept.number, kept.promised, kept.accepted_ballot, value))
+
+
+def first_hard_state(n_sys: int) -> HardState:
+    """Return the hard state at the beginning of a mission: all robots count."""
+    return HardState(View(0, 1, (0,) * n_sys), 0, Vote())

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from koordgen.runtime.agent.joining import Joining
-from koordgen.runtime.agent.keeping import Keeping
+from koordgen.runtime.agent.keeping import Keeping, first_hard_state
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.agent.store import Keeper
 from koordgen.runtime.config.settings import Settings
@@ -22,15 +22,15 @@ from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Closing, Hello, Message, View, encoder
+from koordgen.runtime.net.wire import Entry, Hello, Message, encoder
 from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
 from koordgen.runtime.program.program import Fault, Life, Program
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import NO_POSITION, STOPPED, Limit, Runner, unlimited
-from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import Replica
-from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import Point, transmissible
@@ -90,7 +90,7 @@ class Agent:
         self._guard = Guard(settings.safety, settings.geofence)
         self._unready: str | None = None  # why no event may run as far as the body goes
         self._rounds: Rounds | None = None
-        self._replica: Replica | None = None
+        self._driver: Driver | None = None
         self._view = -1
         self._kinds = {variable.name: variable.kind for variable in program.shared}
         self._next_body = 0.0
@@ -152,8 +152,9 @@ class Agent:
 
     def stop_all(self, why: str) -> None:
         """An emergency: come to rest at once, and tell the others to."""
-        if self._replica is not None:
-            self._replica.alarm()
+        if self._driver is not None:
+            self._driver.replica.declare_emergency()
+            self._driver.flush()
         self._journal.error(why)
         self.end(why)
 
@@ -195,7 +196,7 @@ class Agent:
         rounds = self._rounds
         if rounds is None:
             return min(wake, self._join(now))
-        # All others wait for the closing of a ripe round; after it there is time to let more of theirs come.
+        # All others wait for the entry of a ripe round; after it there is time to let more of theirs come.
         if not rounds.ripe(now) and (messages := self._link.receive()):
             self._hear(messages, None)
         due = self._poll_rounds(rounds, now)
@@ -232,13 +233,13 @@ class Agent:
             if isinstance(message, Hello):
                 self._joining.take(message, fleet)
         if self._rounds is not None:
-            self._rounds.take([message for message in messages if not isinstance(message, Hello)])
+            self._rounds.receive([message for message in messages if not isinstance(message, Hello)])
         if names := self._joining.began_anew():
             self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
 
     def _poll_rounds(self, rounds: Rounds, now: float) -> float:
-        replica = self._replica
-        assert replica is not None
+        assert self._driver is not None
+        replica = self._driver.replica
         try:
             wake = rounds.poll(now, self._platform.sense, self._unready)
         except Lost as lost:
@@ -251,7 +252,7 @@ class Agent:
         if replica.emergency and self.phase == "running":
             self._journal.error("emergency stop, heard from another robot")
             self.end("emergency stop")
-        self._joining.met = self._joining.met or not replica.out
+        self._joining.met = self._joining.met or not replica.is_out
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
@@ -321,7 +322,7 @@ class Agent:
             self._journal.error(f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
             return
-        result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
+        result = Entry(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
         length = len(encoder.encode(result))
         if length > self._link.speech.room:  # a Hello is one datagram
             most = self._link.speech.room
@@ -341,11 +342,11 @@ class Agent:
         n = len(self._names)
         if mission is not None and self._init is not None:
             start, epoch, lives = mission.start, mission.epoch, [self._init]
-            view, vote, applied = View(0, 1, (0,) * n), Vote(), 0
-            memory = Memory.begin(self._layout, self._settings.pid, view, mission.inits)
+            hard_state = first_hard_state(n)
+            state = StateMachine.begin(self._layout, self._settings.pid, hard_state.view, mission.inits)
         elif returned is not None:
-            start, epoch, memory = returned, self._link.epoch, None
-            view, applied, vote = self._keeping.announced()
+            start, epoch, state = returned, self._link.epoch, None
+            hard_state = self._keeping.last_hard_state()
             if self._init is None:
                 lives = self._keeping.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
             else:
@@ -355,10 +356,14 @@ class Agent:
             return
         timeout = self._settings.safety.peer_timeout
         self._fleet_clock.lock()
-        self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._keeping.announce)
+        room = self._link.speech.room
+        replica = Replica(self._settings.pid, self._layout, state, hard_state, timeout, room)
+        self._driver = Driver(
+            replica, self._link, self._keeping.hard_state, lambda private: self._keeping.life(*private)
+        )  # fmt: skip
         self._rounds = Rounds(
-            self._runner, self._body, self._replica, self._fleet_clock, self._names, start, self._settings.delta,
-            lives, self._journal.untold.append, self._keeping.life,
+            self._runner, self._body, self._driver, self._fleet_clock, self._names, start, self._settings.delta, lives,
+            self._journal.untold.append,
         )  # fmt: skip
         self._rounds.watched = self.monitors.wanted
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
@@ -400,10 +405,10 @@ class Agent:
             self.done = True
 
     def _tell(self) -> None:
-        """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
+        """Tell of the rounds that have become certain; not while the others' entries are still coming in."""
         self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
-        if self._replica is not None and self._replica.memory is not None:
-            self.metrics.held(self._replica.memory.held)
+        if self._driver is not None and (state := self._driver.replica.state) is not None:
+            self.metrics.held(state.held)
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """What the properties demand, as far as this robot can tell."""

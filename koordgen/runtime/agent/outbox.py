@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from koordgen.runtime.program.program import Effects, Life
 from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
-from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 
 MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
@@ -50,7 +50,7 @@ class Outbox:
     @property
     def pressing(self) -> bool:
         """Whether what waits must be looked at before the next event: it may change this robot's variables, or what it
-        commands, or there is no room for more. All else has time until that event's closing has left."""
+        commands, or there is no room for more. All else has time until that event's entry has left."""
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
@@ -65,14 +65,14 @@ class Outbox:
         elif life is not None:
             self.lives.append(life)
 
-    def decide(self, memory: Memory) -> bool | None:
+    def decide(self, state: StateMachine) -> bool | None:
         """Whether the commit that was waited for has won; None when there is none, or no news of it."""
         waiting = self._commit
-        if waiting is None or memory.applied < waiting.record.round:
+        if waiting is None or state.applied < waiting.record.round:
             return None
         self._commit = None
         waiting.lock = -1
-        if memory.won == waiting.record.round:
+        if state.won == waiting.record.round:
             if waiting.life is not None:
                 self.lives.append(waiting.life)
             return True
@@ -82,21 +82,21 @@ class Outbox:
         self._look()
         return False
 
-    def can_settle(self, memory: Memory) -> bool:
+    def can_settle(self, state: StateMachine) -> bool:
         """Whether there is news of what waits."""
         if not self._waiting:
             return False
         first, commit = self._waiting[0], self._commit
-        if commit is not None and memory.applied >= commit.record.round:
+        if commit is not None and state.applied >= commit.record.round:
             return True
-        return first.lock < 0 and _is_certain(first.record, memory)
+        return first.lock < 0 and _is_certain(first.record, state)
 
-    def ready(self, memory: Memory | None) -> list[Record]:
+    def ready(self, state: StateMachine | None) -> list[Record]:
         """The records that are certain now, in order; without a store those before the first that did something."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
-            if not _is_certain(waiting.record, memory):
+            if not _is_certain(waiting.record, state):
                 break
             self._waiting.popleft()
             found.append(waiting.record)
@@ -129,12 +129,12 @@ class Outbox:
         self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
-def _is_certain(record: Record, memory: Memory | None) -> bool:
+def _is_certain(record: Record, state: StateMachine | None) -> bool:
     """Whether no view can leave out what was done in a round, or what was seen in it by one who did nothing."""
     if record.effects is None and record.frame is None:
         return True
     last = record.round if record.effects is not None else record.round - 1
-    return memory is not None and memory.stable(last)
+    return state is not None and last <= state.committed
 
 
 def has_outputs(effects: Effects | None) -> bool:

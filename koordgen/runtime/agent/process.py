@@ -308,7 +308,7 @@ def _print(line: str) -> None:
 
 
 def _takes(stream: TextIO) -> bool:
-    """Whether a piece can be written without waiting."""
+    """Whether a fragment can be written without waiting."""
     try:
         number = stream.fileno()
     except (OSError, ValueError):  # no file at all

@@ -1,4 +1,4 @@
-"""A mission's rounds on one robot: ticks on the fleet's clock, one event or a skip each, one closing to everyone.
+"""A mission's rounds on one robot: ticks on the fleet's clock, one event or a skip each, one entry to everyone.
 
 Round r begins at start + (r-1) delta. What a robot lacks then it may still receive until the publish deadline; it
 asks for it, and skips the round when it did not come. Ticks are absolute: a robot that wakes late goes on with the
@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from koordgen.runtime.agent.outbox import AHEAD, Outbox, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Counters
+from koordgen.runtime.net.wire import ReplicaMessage
 from koordgen.runtime.program.program import Effects, Frame, Life
 from koordgen.runtime.program.runner import (
     FAULT,
@@ -30,19 +31,18 @@ from koordgen.runtime.program.runner import (
     Outcome,
     Runner,
 )
-from koordgen.runtime.replication.memory import Memory
-from koordgen.runtime.replication.patience import Patience, many
-from koordgen.runtime.replication.replica import SLOTS, Replica, Talk
+from koordgen.runtime.replication.driver import Driver
+from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Moment
 from koordgen.runtime.trace.writer import Observe, Record
 from koordgen.runtime.vehicle.body import Body, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
-PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
-FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
-PUNCTUAL = 0.5  # of a slot: who wakes so much later than something was due is late
-GATHER = 300e-6  # seconds that the closing of one more robot may take to come after another's
-MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
+PUBLISH = 0.5  # of delta: when a round's entry leaves at the latest
+PUNCTUAL = 0.5  # of a tick: a robot that wakes so much later than something was due is late
+GATHER = 300e-6  # seconds that the entry of one more robot may take to come after another's
+MOST_GATHER = 0.2  # of a round, for all of them: one of its ticks
 LINGER = 20  # rounds after all have stopped
 
 
@@ -52,8 +52,8 @@ class _Present:
 
     open: bool = False
     sensed: Sensed | None = None
-    slot: int = -1  # the last slot that was looked at
-    confirmed: bool = False  # those who wait for it were told that the round is applied
+    tick: int = -1  # the last tick of the round that was handled
+    acknowledged: bool = False  # the robots that wait for it were told that the round is applied
 
 
 class Lost(Exception):
@@ -61,44 +61,42 @@ class Lost(Exception):
 
 
 class Rounds:
-    """`observe` gets the record of each round once it is certain. `keep` must have kept a life, which the given
-    incarnation of this robot leads, before its closing leaves. `leave` makes the robot close its rounds without events
-    from then on."""
+    """`observe` gets the record of each round once it is committed. What `driver` persists of the robot's own is a
+    pair: a life, and the incarnation of the robot that leads it. `leave` makes the robot close its rounds without
+    events from then on."""
 
     def __init__(
         self,
         runner: Runner,
         body: Body,
-        replica: Replica,
+        driver: Driver,
         clock: FleetClock,
         names: tuple[str, ...],
         start: float,
         delta: float,
         lives: list[Life],
         observe: Observe,
-        keep: Callable[[Life, int], None],
     ) -> None:
         self._runner = runner
         self._body = body
-        self._replica, self._pid = replica, replica.pid
+        self._driver = driver
+        self._replica, self._pid = driver.replica, driver.replica.pid
         self._clock = clock
         self._names = names
         self._start = start
         self._delta = delta
         self._observe = observe
-        self._keep = keep
         self.round = 0  # the present one; 0 before the first
         self._present = _Present()
-        self._published = 0
         self._wake = math.inf  # when there is something to do
-        self._patience = Patience(self._pid, len(names))
+        self._policy = self._replica.policy
         self._left = False
-        self._sure = 0  # the last round that is known to be stable
+        self._handled = 0  # the last applied round that was settled and acknowledged
         self._restored: Life | None = None  # to be told with the next record
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
-        self._returns = replica.returns
-        self._view = replica.views.view.number  # the latest in which this robot has given its word
+        self._store_changes = self._replica.store_changes
+        self._view = self._replica.views.view.number  # the latest in which this robot has sent a report
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
         self.reason: str | None = None  # why the last round that was closed had no event
@@ -107,47 +105,47 @@ class Rounds:
 
     @property
     def lacking(self) -> list[str]:
-        """The names of those whose closings are missing for the present round."""
-        memory = self._replica.memory
-        return [] if memory is None else [self._names[p] for p in memory.missing(self.round - 1)]
+        """The names of the robots whose entries are missing for the present round."""
+        state = self._replica.state
+        return [] if state is None else [self._names[p] for p in state.missing(self.round - 1)]
 
     @property
     def over(self) -> bool:
         """Whether all robots that count have stopped and the linger has passed."""
-        memory = self._replica.memory
-        since = None if memory is None or not (self.stopped or self._left) else memory.all_stopped
+        state = self._replica.state
+        since = None if state is None or not (self.stopped or self._left) else state.all_stopped
         return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
         """Whether another round has begun for which everything is there: its event may run before anything else."""
-        memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied != self.round or not self.round:
+        state, present = self._replica.state, self._present
+        if state is None or present.open or state.applied != self.round or not self.round:
             return False
         return self._clock.read(now) >= self._start + self.round * self._delta
 
     @property
     def calm(self) -> bool:
         """Whether nothing more is expected in this round: there is time for what can wait."""
-        memory, present = self._replica.memory, self._present
-        return not present.open and (memory is None or memory.applied >= self.round or present.slot >= FIRST_SLOT)
+        state, present = self._replica.state, self._present
+        return not present.open and (state is None or state.applied >= self.round or present.tick >= REQUEST_TICK)
 
     @property
     def expects(self) -> tuple[int, float]:
-        """How many closings the round that this robot has closed still lacks, and seconds that it pays to gather them:
-        to wake for each of many alone costs more than all else. Nothing outstanding: 1, and no time."""
-        memory, at_once = self._replica.memory, self._present.open and not self._patience.strained(self.round)
-        if memory is None or at_once or memory.applied >= self.round or not (lacking := memory.lacking()):
+        """The number of entries that the closed round still lacks, and the seconds that it pays to gather them.
+
+        To wake for each of many entries alone costs more than all else. If nothing is outstanding: 1, and no time.
+        """
+        state, at_once = self._replica.state, self._present.open and not self._policy.is_strained(self.round)
+        if state is None or at_once or state.applied >= self.round or not state.lacking:
             return 1, 0.0
-        return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
+        return state.lacking, min(GATHER * state.lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
         self._left = True
 
-    def take(self, messages: Sequence[Talk]) -> None:
-        """Messages of this mission."""
-        take, present = self._replica.take, max(self.round, 1)
-        for message in messages:
-            take(message, present)
+    def receive(self, messages: Sequence[ReplicaMessage]) -> None:
+        """Handle messages of this mission."""
+        self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
         """Do what is due at local time `now`; returns when to be called again at the latest. `sense` samples the
@@ -161,71 +159,73 @@ class Rounds:
             self._begin(round_, sense(now))
         present = self._present
         into = elapsed - (self.round - 1) * self._delta
-        slot = max(0, min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6)))  # it may have begun by rounding
-        fresh = slot > present.slot
-        timely = fresh and now < self._wake + PUNCTUAL * self._delta / SLOTS
-        memory = self._replica.memory
-        ripe = fresh and present.open and memory is not None and memory.applied == self.round - 1
+        tick = max(0, min(TICKS - 1, math.floor(into / self._delta * TICKS + 1e-6)))  # it may have begun by rounding
+        fresh = tick > present.tick
+        on_time = fresh and now < self._wake + PUNCTUAL * self._delta / TICKS
+        state = self._replica.state
+        ripe = fresh and present.open and state is not None and state.applied == self.round - 1
         if fresh:
-            present.slot = slot
-            if not ripe:
-                self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
-                memory = self._replica.memory
-        if memory is not None and not present.open and self._calm(memory):
-            if not fresh:
-                return self._wake
-            if memory.view.number == self._view:
-                self._wake = self._ask(slot, fresh, timely)
-                return self._wake
-        current = False
-        if memory is not None:
-            if self._returns != self._replica.returns:
-                self._come_back(memory, now)
-            current = memory.advance(self.round)
-            if memory.view.number != self._view:  # words in the new view are wanted before events can go on
-                self._view = memory.view.number
-                self._replica.tell(self.round)
-            if self._outbox.pressing:
-                self._settle(now)
-        else:
-            for record in self._outbox.ready(None):
-                self._observe(record)
-        if present.open:
-            self._decide(now, into, current, unready)
-        if memory is not None:
-            if not present.open:
-                memory.advance(self.round + 1)
-            self._settle(now)
-            if not present.open:
-                self._replica.keep()  # the next closing says so, and should not have to wait for it
-                self._confirm(memory.applied)
-        if ripe and not (self._replica.begin(self.round) and slot == 0):  # only now: all others wait for the closing
-            self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
-        self._wake = self._ask(slot, fresh, timely)
+            present.tick = tick
+            if not ripe:  # else all others wait for the entry: first the event
+                self._driver.tick((self.round - 1) * TICKS + tick)
+                state = self._replica.state
+        if state is not None and not present.open and self._is_calm(state):
+            if fresh:
+                self._wake = self._request(tick, fresh, on_time)
+            return self._wake
+        self._run(now, into, unready)
+        if ripe:
+            self._driver.tick((self.round - 1) * TICKS + tick)
+        self._wake = self._request(tick, fresh, on_time)
         return self._wake
 
-    def _calm(self, memory: Memory) -> bool:
-        """Whether nothing that has come since the last poll of this round makes a difference to it."""
-        stays = self._returns == self._replica.returns and (memory.applied >= self.round or memory.lacking() > 0)
-        return stays and not self._outbox.can_settle(memory)
+    def _run(self, now: float, into: float, unready: str | None) -> None:
+        """Act on what has changed, and run the event of the round if it is time."""
+        state = self._replica.state
+        if state is None:
+            for record in self._outbox.ready(None):
+                self._observe(record)
+            if self._present.open:
+                self._decide(now, into, False, unready)
+            return
+        if self._store_changes != self._replica.store_changes:
+            self._come_back(state, now)
+        if state.view.number != self._view:  # reports in the new view are wanted before events can go on
+            self._view = state.view.number
+            self._replica.send_report(self.round)
+            self._driver.flush()
+        if self._outbox.pressing:
+            self._settle(now)
+        if self._present.open:
+            is_member = state.view.members[self._pid] >= 0
+            self._decide(now, into, state.applied == self.round - 1 and not state.is_frozen and is_member, unready)
+        self._settle(now)
+        if not self._present.open:
+            self._acknowledge(state.applied)
+        self._handled = state.applied
 
-    def _tick(self, part: float) -> float:
+    def _is_calm(self, state: StateMachine) -> bool:
+        """Return whether nothing that has arrived since the last poll of this round makes a difference to it."""
+        same = self._store_changes == self._replica.store_changes and state.view.number == self._view
+        return same and state.applied == self._handled and not self._outbox.can_settle(state)
+
+    def _moment_of(self, part: float) -> float:
+        """Return the local time at which this part of the present round has passed."""
         return self._clock.local(self._start + (self.round - 1 + part) * self._delta)
 
     def _begin(self, round_: int, sensed: Sensed) -> None:
-        present, memory = self._present, self._replica.memory
+        present = self._present
         slept = round_ - self.round - (0 if present.open else 1)
-        if slept > 0 and memory is not None:
-            if memory.held[self._pid] < round_ - 1:
-                memory.close(round_ - 1, {}, stopped=self.stopped)
+        if slept > 0 and self._replica.state is not None:
+            self._replica.skip_rounds(round_ - 1, self.stopped)
             self.counters.missed += slept
         self.round, self._present = round_, _Present(True, sensed)
         self.counters.rounds += 1
 
-    def _come_back(self, memory: Memory, now: float) -> None:
+    def _come_back(self, state: StateMachine, now: float) -> None:
         """Go on where the others say that this robot was, which was out until now."""
-        self._returns = self._replica.returns
-        acted = memory.acted[self._pid]
+        self._store_changes = self._replica.store_changes
+        acted = state.acted[self._pid]
         life, records = self._outbox.settle(acted)
         if life is None:
             raise Lost(
@@ -238,32 +238,27 @@ class Rounds:
         self._body.hold(STOPPED, self.stopped, now)
         for record in records:
             self._observe(record)
-        self._published = memory.held[self._pid]
-        round_ = self.round
-        if not self._present.open and self._published < round_:  # of this round the others have an older life's closing
-            memory.close(round_, {}, stopped=self.stopped)
-            self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
-            self._published = round_
+        if not self._present.open and self._replica.published < self.round:  # others have an earlier life's entry
+            self._replica.propose(self.round, {}, stopped=self.stopped)
+            self._driver.run()
 
     def _settle(self, now: float) -> None:
         """Do what has become certain."""
-        memory, outbox = self._replica.memory, self._outbox
-        assert memory is not None
-        won = outbox.decide(memory)
+        state, outbox = self._replica.state, self._outbox
+        assert state is not None
+        won = outbox.decide(state)
         if won:
             self._runner.locals = outbox.life.locals
             self.stopped = self.stopped or outbox.life.stopped
         elif won is False:
             self.counters.gave_way += 1
             # What was kept for the case that it wins must not, again and again, take the room of what has counted.
-            self._keep(outbox.life, memory.view.members[self._pid])
-        for record in outbox.ready(memory):
+            self._driver.persist_private((outbox.life, state.view.members[self._pid]))
+        for record in outbox.ready(state):
             effects = record.effects
             if effects is not None:
-                self._replica.keep()  # our own word is one of the majority's
                 self._body.command(effects.actuators, now)
                 self._body.hold(STOPPED, effects.stopped or self.stopped, now)
-                self._sure = record.round
             self._observe(record)
         if outbox.first is None:
             self._body.hold(NOT_CONFIRMED, False, now)
@@ -282,7 +277,7 @@ class Rounds:
         else:
             reason = self._unsettled(current)
             lagging = reason is not None
-            if lagging and not overdue and (current or self._patience.waits(self.round)):
+            if lagging and not overdue and (current or self._policy.waits(self.round)):
                 return
             if reason is None and overdue:
                 reason = WOKE_LATE
@@ -300,44 +295,44 @@ class Rounds:
             self._close()
             self._wait(Record(self.round, now, into, sensors, None, skipped=reason))
             return
-        memory = self._replica.memory
-        assert memory is not None
-        self._body.others(memory.shared)
-        frame = self._runner.frame(memory.shared, sensors, self._body.actuators, self._body.call)
-        self._finish(self._runner.step(frame, self._tick(PUBLISH)), frame, now, into)
+        state = self._replica.state
+        assert state is not None
+        self._body.others(state.shared)
+        frame = self._runner.frame(state.shared, sensors, self._body.actuators, self._body.call)
+        self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
 
     def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Moment:
         """What this robot knows before its event."""
-        memory, own, body = self._replica.memory, self._runner.locals, self._body.actuators
-        if memory is None or self._outbox.first is not None or self._outbox.undecided:
+        state, own, body = self._replica.state, self._runner.locals, self._body.actuators
+        if state is None or self._outbox.first is not None or self._outbox.undecided:
             return Moment(self.round, now, SENSED, sensed, sensors, own, {}, body)
-        return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, memory.shared, body)
+        return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
         """Why no event may run as far as the shared memory goes."""
-        memory, round_ = self._replica.memory, self.round
-        if memory is None:
+        state, round_ = self._replica.state, self.round
+        if state is None:
             return self._replica.status
         if not current:
-            if memory.frozen:
+            if state.is_frozen:
                 return f"{NOT_CURRENT}: the fleet decides who counts"
             return f"{NOT_CURRENT}: lacks {', '.join(self.lacking)}"
         if self._outbox.first is not None or self._outbox.undecided:
-            unaware = memory.unaware(self._outbox.first or round_ - 1)
+            unaware = self._replica.unaware(self._outbox.first or round_ - 1)
             return (
                 f"{NOT_CONFIRMED}: waits for the acknowledgement of a majority, not heard from {self._named(unaware)}"
             )
-        if round_ - AHEAD > self._sure and not memory.stable(round_ - AHEAD):
-            return f"{NOT_CONFIRMED}: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
-        if memory.crowded():
-            return f"{NOT_CURRENT}: {self._names[memory.laggard]} lags behind"
+        if round_ - AHEAD > state.committed:
+            return f"{NOT_CONFIRMED}: not heard from {self._named(self._replica.unaware(round_ - AHEAD))}"
+        if state.is_full:
+            return f"{NOT_CURRENT}: {self._names[self._replica.laggard]} lags behind"
         return None
 
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
-        """Close a round in which an event could run; its record is made when all others have their closing."""
+        """Close a round in which an event could run; its record is made when all others have their entry."""
         fault, effects = outcome.fault, outcome.effects
         self._body.hold(FAULT, fault is not None, now)
         life = self._close(effects, outcome.lock)
@@ -350,25 +345,24 @@ class Rounds:
         self._wait(record, outcome.lock, life)
 
     def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
-        """The closing leaves; the life that the event led to, which was kept before."""
-        memory, round_ = self._replica.memory, self.round
+        """Send the entry of this round. Return the life that the event led to, which is persisted before."""
+        state = self._replica.state
         self._present.open = False
-        life = None
+        life = private = None
         if effects is not None:
-            assert memory is not None
+            assert state is not None
             actuators = {**self._body.actuators, **effects.actuators}
-            life = Life(round_, effects.locals, actuators, effects.stopped or self.stopped)
+            life = Life(self.round, effects.locals, actuators, effects.stopped or self.stopped)
             if lock < 0:
                 self._runner.locals, self.stopped = life.locals, life.stopped
-            self._keep(life, memory.view.members[self._pid])
-        if memory is not None:
-            stopped = self.stopped or self._left or (life is not None and life.stopped)
-            shared, prompt = effects.shared if effects else {}, has_outputs(effects)
-            memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
-        else:
-            self.counters.out += 1
-        self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
-        self._published = round_
+            private = life, state.view.members[self._pid]
+        self.counters.out += state is None
+        stopped = self.stopped or self._left or (life is not None and life.stopped)
+        self._replica.propose(
+            self.round, effects.shared if effects else {}, stopped=stopped, acted=life is not None,
+            awaits_commit=has_outputs(effects), lock=lock, private=private,
+        )  # fmt: skip
+        self._driver.run()
         return life
 
     def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
@@ -377,34 +371,29 @@ class Rounds:
             record, self._restored = replace(record, restored=self._restored), None
         self._outbox.add(record, lock, life)
 
-    def _confirm(self, applied: int) -> None:
-        """Tell those who wait for it that this robot has applied the round they closed."""
-        if applied >= self.round and not self._present.confirmed:
-            self._present.confirmed = True
-            self._replica.confirm(self.round)
+    def _acknowledge(self, applied: int) -> None:
+        """Tell the robots that wait for it that this robot has applied the round that they closed."""
+        if applied >= self.round and not self._present.acknowledged:
+            self._present.acknowledged = True
+            self._replica.acknowledge(self.round)
+            self._driver.flush()
 
-    def _ask(self, slot: int, fresh: bool, timely: bool) -> float:
-        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
-        present, memory = self._present, self._replica.memory
-        if memory is None:
-            return self._following(slot)
-        through = self.round if slot >= FIRST_SLOT else self.round - 1
-        missing = [p for p in memory.missing(through) if p != self._pid]
+    def _request(self, tick: int, fresh: bool, on_time: bool) -> float:
+        """Request what should be here by now; return the next moment at which there may be something to do."""
+        present, state = self._present, self._replica.state
+        if state is None:
+            return self._next_tick(tick)
         waited = self._outbox.first
-        unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        if fresh:
-            self._patience.wakes(self.round, timely and not many(len(missing), len(self._names)))
-        if fresh and (missing or unaware) and self._patience.asks(self.round, timely, memory.ledger.lost(missing)):
-            self._replica.ask(missing, unaware, through)
+        if fresh and self._replica.request(tick, on_time, waited):
             self.counters.asked += 1
-        if present.open or missing or waited is not None or self._replica.busy():
-            return self._following(slot)
-        if slot < FIRST_SLOT:
-            if memory.applied < self.round or self._replica.emergency:
-                return self._tick(FIRST_SLOT / SLOTS)
-            self._replica.complete(self.round)
-        return self._tick(1.0)
+            self._driver.flush()
+        missing = [p for p in state.missing(self.round if tick >= REQUEST_TICK else self.round - 1) if p != self._pid]
+        if present.open or missing or waited is not None or self._replica.is_busy:
+            return self._next_tick(tick)
+        if tick < REQUEST_TICK and (state.applied < self.round or self._replica.emergency):
+            return self._moment_of(REQUEST_TICK / TICKS)
+        return self._moment_of(1.0)
 
-    def _following(self, slot: int) -> float:
-        next_ = SLOTS if self._patience.hurried(self.round) and not self._replica.busy() else slot + 1
-        return self._tick(min(next_ / SLOTS, PUBLISH if self._present.open else 1.0))
+    def _next_tick(self, tick: int) -> float:
+        next_ = TICKS if self._policy.is_hurried(self.round) and not self._replica.is_busy else tick + 1
+        return self._moment_of(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))

@@ -43,7 +43,7 @@ _encode = msgspec.msgpack.Encoder().encode
 
 class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The mission this robot is in: its name, the start of round 1 (microseconds of fleet time), the robot's own
-    closing of round 0 as it goes over the wire."""
+    entry of round 0 as it goes over the wire."""
 
     epoch: bytes
     start: int
@@ -172,7 +172,7 @@ class Store:
         return self._file >= 0
 
     def write(self, record: Kept) -> bool:
-        """Keep a record. False when it is not kept; why, was warned of once. All others wait for the closing that waits
+        """Keep a record. False when it is not kept; why, was warned of once. All others wait for the entry that waits
         for this: it is done in few steps."""
         if self._file < 0:
             return False

@@ -1,12 +1,12 @@
-"""Closings that are longer than a datagram, put together from their pieces: one of each author at a time."""
+"""Entries that are longer than a datagram, put together from their fragments: one of each author at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from koordgen.runtime.net.pieces import Gathering
-from koordgen.runtime.net.wire import Closing, Partly, Piece, closing_of
+from koordgen.runtime.net.fragments import Reassembly
+from koordgen.runtime.net.wire import Entry, Fragment, HeldFragments, entry_of
 
 MOST_PARTLY = 8  # that one question speaks of
 
@@ -15,7 +15,7 @@ MOST_PARTLY = 8  # that one question speaks of
 class _Begun:
     incarnation: int
     round: int
-    pieces: Gathering
+    fragments: Reassembly
 
 
 class Assembly:
@@ -27,29 +27,31 @@ class Assembly:
     def clear(self) -> None:
         self._begun.clear()
 
-    def partly(self) -> tuple[Partly, ...]:
-        """Which pieces are there, for those who are asked for the others."""
-        begun = [Partly(author, b.round, b.pieces.name, b.pieces.mask) for author, b in self._begun.items()]
+    def received(self) -> tuple[HeldFragments, ...]:
+        """Which fragments are there, for those who are asked for the others."""
+        begun = [
+            HeldFragments(author, b.round, b.fragments.name, b.fragments.mask) for author, b in self._begun.items()
+        ]
         return tuple(begun[:MOST_PARTLY])
 
-    def take(self, piece: Piece, wanted: Callable[[int, int], bool]) -> Closing | str | None:
-        """Take a piece: the closing once it is complete, or why the piece is refused. `wanted` tells whether the
-        closing of an author and round would be news."""
-        author = piece.author
-        if not wanted(author, piece.round):
+    def take(self, fragment: Fragment, wanted: Callable[[int, int], bool]) -> Entry | str | None:
+        """Take a fragment: the entry once it is complete, or why the fragment is refused. `wanted` tells whether the
+        entry of an author and round would be news."""
+        author = fragment.author
+        if not wanted(author, fragment.round):
             return None
         known = self._begun.get(author)
-        if known is None or (known.round != piece.round and not wanted(author, known.round)):
-            known = _Begun(piece.incarnation, piece.round, Gathering(piece.digest, piece.count))
+        if known is None or (known.round != fragment.round and not wanted(author, known.round)):
+            known = _Begun(fragment.incarnation, fragment.round, Reassembly(fragment.digest, fragment.count))
             self._begun[author] = known
-        if (known.incarnation, known.round) != (piece.incarnation, piece.round):
+        if (known.incarnation, known.round) != (fragment.incarnation, fragment.round):
             return None  # one at a time; it will be asked for again
-        refused = known.pieces.take((piece.digest, piece.index, piece.count, piece.data))
+        refused = known.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
         if refused is not None:
             return refused
-        blob = known.pieces.blob()
+        blob = known.fragments.blob()
         if blob is None:
             return None
         del self._begun[author]
-        closing = closing_of(blob)
-        return closing if closing is not None and closing.author == author else "closing does not fit"
+        entry = entry_of(blob)
+        return entry if entry is not None and entry.author == author else "entry does not fit"

@@ -8,16 +8,16 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.net.patch import difference, patched
-from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write, encoder, overhead
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write, encoder, overhead
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
 
-MOST_CLOSING = 128 * 1024  # bytes of one robot's closing of one round
-MOST_SHARED = 256  # variables: so many writes a closing may have
+MOST_ENTRY = 128 * 1024  # bytes of one robot's entry of one round
+MOST_SHARED = 256  # variables: so many writes an entry may have
 PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference would cost more than it saves on the air
 
-_CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
+_ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
 _PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
@@ -44,19 +44,19 @@ class Layout:
         self._shared = tuple(shared)
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
-        self._fits = tuple(map(_test, shared))
+        self._fits = tuple([_fits(v) for v in shared])
         self._by_name = {v.name: i for i, v in enumerate(shared)}
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
         if len(shared) > MOST_SHARED:
             raise TooLarge(f"a program of {len(shared)} shared variables; at most {MOST_SHARED} are supported")
-        needed, most = self.closing_bytes, most_closing(n_sys)
+        needed, most = self.entry_bytes, most_entry(n_sys)
         if needed > most:
             raise TooLarge(
                 f"one round's shared writes take up to {needed} bytes; with {n_sys} robots at most {most} can be sent"
             )
-        needed, most = self.state_bytes, most_state(n_sys)
+        needed, most = self.snapshot_bytes, most_snapshot(n_sys)
         if needed > most:
             raise TooLarge(
                 f"all shared variables together take up to {needed} bytes; with {n_sys} robots at most {most} can be "
@@ -64,12 +64,12 @@ class Layout:
             )
 
     @property
-    def closing_bytes(self) -> int:
-        """The most bytes of an encoded closing."""
-        return _CLOSING + sum(_WRITE + v.bound.bytes for v in self._shared)
+    def entry_bytes(self) -> int:
+        """The most bytes of an encoded entry."""
+        return _ENTRY + sum(_WRITE + v.bound.bytes for v in self._shared)
 
     @property
-    def state_bytes(self) -> int:
+    def snapshot_bytes(self) -> int:
         """The most bytes of an encoded State."""
         n, array = self.n_sys, 1 if self.n_sys < 16 else 3
         view = 1 + 2 * 9 + array + 9 * n
@@ -112,36 +112,37 @@ class Layout:
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
-        """What an event of the author's wrote, as it goes over the wire, and what `read` would give of it. A large
-        value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
-        just the variable's type is what its encoding yields, so it is not decoded."""
-        writes, values, fit = list[Write](), list[tuple[int, Any]](), True
+        """Return what an event of the author wrote as it is sent, and what `read` would make of it.
+
+        A large value that differs little from that in `store`, with which its round began, is sent as a patch. A number
+        or text of exactly the variable's type is what its encoding yields, so it is not decoded again. The second
+        result is None if a value does not fit the program.
+        """
+        writes: list[Write] = []
+        values: list[tuple[int, Any]] = []
         for index in sorted([self._by_name[name] for name in shared]):
             item = shared[self.names[index]]
             whole = encoder.encode(item)
-            write = Write(index, msgspec.Raw(whole))
-            if store is not None and len(whole) > PATCH_FROM:
+            patch = None
+            if len(whole) > PATCH_FROM and store is not None:
                 patch = difference(self._encoding(index, self.base(index, store, author)), whole)
-                if patch is not None:
-                    write = Write(index, msgspec.Raw(patch), True)
-            if write.patch:
-                item = Unpatched(bytes(write.value))
+            if patch is not None:
+                whole, item = patch, Unpatched(patch)
             elif type(item) is not self._plain[index]:
                 item = self._value(index, whole)
             elif not self._fits[index](item):
                 item = None
-            fit = fit and item is not None
-            writes.append(write)
+            writes.append(Write(index, msgspec.Raw(whole), patch is not None))
             values.append((index, item))
-        return tuple(writes), values if fit else None
+        return tuple(writes), None if any(item is None for _, item in values) else values
 
-    def read(self, closing: Closing) -> Sequence[tuple[int, Any]] | None:
-        """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
+    def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
+        """What an entry carries, by index: values, and patches as Unpatched; None when anything in it does not fit
         this program."""
-        first, round_, writes = closing.first, closing.round, closing.writes
-        if closing.author >= self.n_sys or first > round_:
+        first, round_, writes = entry.first, entry.round, entry.writes
+        if entry.author >= self.n_sys or first > round_:
             return None
-        if first != round_ and (writes or closing.acted or closing.lock >= 0):
+        if first != round_ and (writes or entry.acted or entry.lock >= 0):
             return None
         if not writes:
             return ()
@@ -188,8 +189,8 @@ class Layout:
         return known[1]
 
 
-def _test(variable: Variable) -> Callable[[Any], bool]:
-    """Return the predicate of those values of the variable's type that this program can write."""
+def _fits(variable: Variable) -> Callable[[Any], bool]:
+    """Return a test whether a value of the variable's type is one that this program can write."""
     bound = variable.bound
 
     def fits(value: Any) -> bool:
@@ -198,17 +199,17 @@ def _test(variable: Variable) -> Callable[[Any], bool]:
     def text_fits(value: str) -> bool:
         return len(value) <= capacity if value.isascii() else fits(value)
 
-    if variable.type is str and isinstance(bound, Text):  # the kind of value that takes longest to go through
+    if variable.type is str and isinstance(bound, Text):  # texts are the longest values to go through
         capacity = bound.capacity
         return text_fits
     return fits
 
 
-def most_closing(n_sys: int) -> int:
-    """The most bytes that a closing may have in a fleet of that size: in many small pieces, less than in few."""
-    return min(MOST_CLOSING, most_state(n_sys))
+def most_entry(n_sys: int) -> int:
+    """The most bytes that an entry may have in a fleet of that size: in many small fragments, less than in few."""
+    return min(MOST_ENTRY, most_snapshot(n_sys))
 
 
-def most_state(n_sys: int) -> int:
-    """The most bytes that an encoded State may have in a fleet of that size: as many as go in pieces."""
-    return MOST_PIECES * (LIMIT - overhead(n_sys))
+def most_snapshot(n_sys: int) -> int:
+    """The most bytes that an encoded State may have in a fleet of that size: as many as go in fragments."""
+    return MOST_FRAGMENTS * (LIMIT - overhead(n_sys))

@@ -16,7 +16,7 @@ from koordgen.runtime.net.metrics import Arrival, Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Head, Hello, Message, Round, decode_all
+from koordgen.runtime.net.wire import Head, Hello, Message, RoundMessage, decoder
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
@@ -62,7 +62,7 @@ class Link:
         self._program = bytes.fromhex(program.program_hash)
         self._release = bytes.fromhex(settings.release)
         self._mission: tuple[int, bytes, bytes, bytes] | None = None  # in the head of every message but Hello
-        self._key = key
+        self._decode = decoder(key)
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
         self._clock = clock
@@ -94,21 +94,24 @@ class Link:
         A Hello of a boot that was not adopted is among them, and has changed nothing: `joining` judges it.
         """
         datagrams = self._transport.receive()
-        return self._admitted(decode_all(datagrams, self._key)) if datagrams else []
+        return self._admitted(datagrams) if datagrams else []
 
-    def _admitted(self, messages: Sequence[Message | str]) -> list[Message]:
-        """Return those of the messages that are admitted; record replay window, clock stamps and figures of each."""
+    def _admitted(self, datagrams: Sequence[bytes]) -> list[Message]:
+        """Return the messages that are admitted; record replay window, clock stamps and figures of each."""
         local = self._clock.now()  # all of them have arrived by now
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
-        arrived, sessions, mission = microseconds(local), self.sessions, self._mission
-        admitted, arrivals, exchanges = list[Message](), list[Arrival](), dict[int, _Exchange]()
-        for message in messages:
+        arrived, decode, sessions, mission = microseconds(local), self._decode, self.sessions, self._mission
+        admitted: list[Message] = []
+        arrivals: list[Arrival] = []
+        exchanges: dict[int, _Exchange] = {}
+        for datagram in datagrams:
+            message = decode(datagram)
             if isinstance(message, str):
                 self.reject(message)
                 continue
             head = message.head
             session = sessions.get(head.pid)
-            if session is not None and session.boot != head.boot:
+            if session is None or session.boot != head.boot:
                 session = None
             ours = (head.application, head.interface, head.program, head.epoch) == mission
             if session is None or not ours or isinstance(message, Hello):
@@ -127,13 +130,14 @@ class Link:
                 session.sent, session.arrived = head.sent, arrived
             if head.echoes and local >= session.due and (exchange := self._exchange(head)) is not None:
                 exchanges[head.pid] = max(exchange, exchanges.get(head.pid, exchange), key=_order)
-            if isinstance(message, Round) and message.round > session.round:
+            if isinstance(message, RoundMessage) and message.round > session.round:
                 ahead = message.round - session.round if session.round else 1
                 session.round = message.round
                 delay = None if fleet is None or head.fleet is None else fleet - (head.sent + head.fleet) / 1e6
                 arrivals.append((head.pid, ahead, delay))
         self.metrics.heard(arrivals, local)
-        self._learn(exchanges, local)
+        if exchanges:
+            self._learn(exchanges, local)
         return admitted
 
     def adopt(self, hello: Hello) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
 _SHORTEST = 1e-6  # seconds
 BUCKETS = 32 * PER_OCTAVE  # up to more than an hour
+MOST_UNCOUNTED = 64  # calls of Metrics.heard
 RECENT = 512  # datagrams after which older ones count half
 
 
@@ -60,7 +61,7 @@ class Counters:
     discarded: int = 0  # faults by the publish deadline
     gave_way: int = 0  # commits that did not count because another robot's did
     current: int = 0  # rounds in which the shared state was there in time
-    asked: int = 0  # times that missing closings were asked for
+    asked: int = 0  # times that missing entries were asked for
     out: int = 0  # rounds in which the others went on without this robot
     in_a_row: int = 0  # rounds until now without current state or time for an event
 
@@ -103,12 +104,26 @@ class Metrics:
         self._pid = pid
         self._peers = [_Peer() for _ in range(n_sys)]
         self._late = Histogram()
+        self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # see `heard`
         self._round = 0
         self._rounds = self._current = self._events = 0
         self._skipped: dict[str, int] = {}
 
     def heard(self, arrivals: Iterable[Arrival], now: float) -> None:
-        """Count authentic round messages that arrived by `now`."""
+        """Count authentic round messages that arrived by `now`.
+
+        They are kept until there are many, or someone asks: the figures of each peer lie far apart in memory.
+        """
+        self._uncounted.append((arrivals, now))
+        if len(self._uncounted) >= MOST_UNCOUNTED:
+            self._count_all()
+
+    def _count_all(self) -> None:
+        uncounted, self._uncounted = self._uncounted, []
+        for arrivals, now in uncounted:
+            self._count(arrivals, now)
+
+    def _count(self, arrivals: Iterable[Arrival], now: float) -> None:
         for pid, ahead, delay in arrivals:
             peer = self._peers[pid]
             peer.received += 1
@@ -145,6 +160,7 @@ class Metrics:
 
     def snapshot(self, now: float, rejected: Mapping[str, int]) -> dict[str, Any]:
         """Return plain values; times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
+        self._count_all()
         peers = {}
         for pid, peer in enumerate(self._peers):
             if pid == self._pid:

@@ -7,7 +7,7 @@ of one protocol is not authentic in another.
 from __future__ import annotations
 
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from hashlib import blake2s
 from hmac import compare_digest
@@ -51,18 +51,21 @@ def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
 
 def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
     """Return the payload of an authentic datagram, or None."""
-    return unseal_all(key, purpose, (datagram,))[0]
+    return unsealer(key, purpose)(datagram)
 
 
-def unseal_all(key: bytes | None, purpose: bytes, datagrams: Sequence[bytes]) -> list[bytes | None]:
-    """Return the payload of each authentic datagram, and None for each other one."""
-    keyed, found = _keyed(key or b"", purpose).copy, list[bytes | None]()
-    for datagram in datagrams:
+@lru_cache(maxsize=16)
+def unsealer(key: bytes | None, purpose: bytes) -> Callable[[bytes], bytes | None]:
+    """Return `unseal` for one key and purpose."""
+    new_hash = _keyed(key or b"", purpose).copy
+
+    def unseal_(datagram: bytes) -> bytes | None:
         payload = datagram[:-MAC_SIZE]
-        state = keyed()
+        state = new_hash()
         state.update(payload)
-        found.append(payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None)
-    return found
+        return payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None
+
+    return unseal_
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""Encoder of one robot's messages: heads, round messages in as few datagrams as possible, long closings in pieces."""
+"""Encoder of one robot's messages: heads, round messages in as few datagrams as possible, long entries in fragments."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.fleet_clock import FleetClock
-from koordgen.runtime.net.pieces import cut, lacking
+from koordgen.runtime.net.fragments import cut, lacking
 from koordgen.runtime.net.seal import MEMORY, seal
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
@@ -17,14 +17,14 @@ from koordgen.runtime.net.wire import (
     LIMIT,
     MAX_ECHOES,
     MOST_PAYLOAD,
-    Closing,
     Echo,
+    Entry,
+    Fragment,
     Head,
+    HeldFragments,
     Hello,
     Message,
-    Partly,
-    Piece,
-    Round,
+    RoundMessage,
     encode,
     encoder,
     overhead,
@@ -37,10 +37,10 @@ REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between exchanges that the c
 OTHERS = 16  # peers that a clock learns from in that time; in a larger fleet each peer comes more rarely
 ECHOES_A_LESSON = 2  # echoes sent for each exchange that is wanted: some are lost
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
-MOST_PIECES_AT_ONCE = 16
-NOTHING: Mapping[int, Partly] = MappingProxyType({})
+MOST_FRAGMENTS_AT_ONCE = 16
+NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 
-Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of a Round, from `view` to `held`
+Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]  # of wire.Round behind its head
 
 
 class Speech:
@@ -58,7 +58,7 @@ class Speech:
         sessions: Mapping[int, PeerSession],
     ) -> None:
         self.epoch = b""
-        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
+        self.room = LIMIT - overhead(len(settings.peers))  # bytes for entries or a fragment in one datagram
         self._pid = settings.pid
         hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
         self._own = settings.application_id, *hashes, settings.pid, boot  # what every head begins with
@@ -73,7 +73,7 @@ class Speech:
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, longest ago first
         self._next_echo = -math.inf  # no peer is due before
 
-    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
+    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Entry | None,
               start: int | None) -> None:  # fmt: skip
         self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start, self._release))
 
@@ -82,33 +82,31 @@ class Speech:
         if to:
             self._send(list(to), kind(self._head(to), *fields))
 
-    def round(self, to: Sequence[int], word: Fields, closings: Sequence[Closing],
-              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
-        """Send a round message: one datagram, or as few as the closings fit in, at most MOST_DATAGRAMS.
+    def round(self, to: Sequence[int], fields: Fields, received: Mapping[int, HeldFragments] = NOTHING) -> None:
+        """Send a round message: one datagram, or as few as its entries fit in, at most MOST_DATAGRAMS.
 
-        Closings beyond those wait to be asked for. Of a closing that is longer than a datagram, the pieces that are not
-        in `partly` (by author) are sent.
+        `fields` are those of Round without the head. Entries beyond the last datagram wait to be asked for. Of an entry
+        that is longer than a datagram, the fragments that are not in `received` (by author) are sent.
         """
         if not to:
             return
         head = self._head(to)
-        payload = pack(Round(head, *word, tuple(closings)))
+        payload = pack(RoundMessage(head, *fields))
         if len(payload) <= MOST_PAYLOAD:
             self._transport.send(to, seal(self._key, MEMORY, payload))
         else:
-            self._divided(to, head, word, closings, partly)
+            self._divided(to, head, fields, received)
 
-    def _divided(self, to: Sequence[int], head: Head, word: Fields, closings: Sequence[Closing],
-                 partly: Mapping[int, Partly]) -> None:  # fmt: skip
+    def _divided(self, to: Sequence[int], head: Head, fields: Fields, received: Mapping[int, HeldFragments]) -> None:
         """Send a round message that is too long for one datagram."""
         small = []
-        for closing in closings:
-            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
-                self._pieces(to, closing, blob, partly.get(closing.author))
+        for entry in fields[-1]:
+            if len(entry.writes) and len(blob := encoder.encode(entry)) > self.room:
+                self._fragments(to, entry, blob, received.get(entry.author))
             else:
-                small.append(closing)
+                small.append(entry)
         for index, batch in enumerate(self._batches(small)):
-            self._send(to, Round(self._head(to) if index else head, *word, batch))
+            self._send(to, RoundMessage(self._head(to) if index else head, *fields[:-1], batch))
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
         """Return the head of the next datagram. `every`: seconds between echoes to one peer; None: as often as peers
@@ -128,7 +126,8 @@ class Speech:
         sessions, echoed = self._sessions, self._echoed
         if len(echoed) < len(sessions):
             echoed = self._echoed = dict.fromkeys(sorted(sessions), -math.inf) | echoed
-        everyone, due = len(to) == len(sessions), list[int]()
+        everyone = len(to) == len(sessions)
+        due: list[int] = []
         for pid, last in echoed.items():
             if now - last < every or len(due) == MAX_ECHOES:
                 break
@@ -143,28 +142,28 @@ class Speech:
             echoed[pid] = now
         return tuple([Echo(p, sessions[p].sent, sessions[p].arrived) for p in due if sessions[p].sent >= 0])
 
-    def _pieces(self, to: Sequence[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
-        pieces = cut(blob, self.room)
-        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
-        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
-            place = closing.author, closing.incarnation, closing.round
-            digest, _, count, data = pieces[index]
-            self._send(to, Piece(self._head(to), *place, digest, index, count, data))
+    def _fragments(self, to: Sequence[int], entry: Entry, blob: bytes, known: HeldFragments | None) -> None:
+        fragments = cut(blob, self.room)
+        mask = known.mask if known is not None and known.digest == fragments[0][0] else b""
+        for index in lacking(len(fragments), mask)[:MOST_FRAGMENTS_AT_ONCE]:
+            place = entry.author, entry.incarnation, entry.round
+            digest, _, count, data = fragments[index]
+            self._send(to, Fragment(self._head(to), *place, digest, index, count, data))
 
-    def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
-        if len(closings) < 2:
-            return [tuple(closings)]
-        batches: list[tuple[Closing, ...]] = []
-        batch: list[Closing] = []
+    def _batches(self, entries: Sequence[Entry]) -> list[tuple[Entry, ...]]:
+        if len(entries) < 2:
+            return [tuple(entries)]
+        batches: list[tuple[Entry, ...]] = []
+        batch: list[Entry] = []
         room = self.room
-        for closing in closings:
-            length = len(encoder.encode(closing))
+        for entry in entries:
+            length = len(encoder.encode(entry))
             if batch and length > room:
                 batches.append(tuple(batch))
                 if len(batches) == MOST_DATAGRAMS:
                     return batches  # the rest waits to be asked for, and may be long
                 batch, room = [], self.room
-            batch.append(closing)
+            batch.append(entry)
             room -= length
         return [*batches, tuple(batch)]
 

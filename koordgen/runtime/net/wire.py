@@ -2,18 +2,19 @@
 
 A datagram is one byte `WIRE_FORMAT`, a tagged array (one of Message), and the MAC of `seal`. Times are microseconds,
 `sent` and `received` on the clock of the robot that wrote them down. Nothing here judges a message beyond its types
-and ranges; `link`, `memory` and `views` do.
+and ranges; `link` and the room `replication` do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import lru_cache
 from hashlib import blake2s
 from typing import Annotated
 
 import msgspec
 
-from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal, unseal_all
+from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal, unsealer
 
 WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
@@ -21,7 +22,7 @@ MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
 RELEASE_SIZE = 16  # bytes of the digest that names a release
-MOST_PIECES = 256  # of one blob
+MOST_FRAGMENTS = 256  # of one blob
 
 _TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
@@ -35,7 +36,7 @@ Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round: enough for a ye
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
-Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_PIECES // 8)]  # bit i of byte i // 8: piece i is there
+Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]  # bit i of byte i // 8: fragment i is there
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
 
 
@@ -70,21 +71,26 @@ class Head(Wired, frozen=True):
 
 
 class Write(Wired, frozen=True):
-    """A shared variable's new value (for an allread variable, of its author's slot); `index` counts the program's
-    shared variables. A `patch` is what changed of the value's encoding at the start of the round (see `patch`)."""
+    """New value of a shared variable; of an allread variable, the author's slot.
+
+    `index` counts the program's shared variables. `patch`: `value` is what changed of the value's encoding since the
+    beginning of the round (see module `patch`).
+    """
 
     index: Annotated[int, msgspec.Meta(ge=0, lt=65536)]
     value: msgspec.Raw
     patch: bool = False
 
 
-class Closing(Wired, frozen=True):
-    """`author` is done with the rounds `first` to `round`: with writes or `acted` they are one round, without it wrote
-    nothing in any of them (so the silence of a long outage is one closing). Round 0 is the result of `init`.
+class Entry(Wired, frozen=True):
+    """Log entry: `author` has ended the rounds `first` to `round`.
 
-    `incarnation` tells which of its lives in the mission wrote it (see View). `stopped` holds in all of the rounds.
-    `acted`: an event of the author's ended. `prompt`: the author waits until a majority says that it
-    has applied this round. `lock`: of an atomic event, of which one a round and lock counts; -1 for all else."""
+    With writes or `acted` these are one round; else the author did nothing in any of them, so the silence of a long
+    outage is one entry. Round 0 is the result of `init`. `incarnation`: that of the author when it wrote the entry (see
+    View). `stopped`: the author had stopped in all of the rounds. `acted`: an event of the author ended.
+    `awaits_commit`: the author waits for reports that this round was applied. `lock`: the lock of an atomic event, of
+    which one counts in each round; -1 for all others.
+    """
 
     author: Pid
     incarnation: Natural
@@ -92,14 +98,17 @@ class Closing(Wired, frozen=True):
     round: Natural
     stopped: bool = False
     acted: bool = False
-    prompt: bool = False
+    awaits_commit: bool = False
     lock: Annotated[int, msgspec.Meta(ge=-1, lt=65536)] = -1
     writes: Annotated[tuple[Write, ...], msgspec.Meta(max_length=256)] = ()
 
 
 class View(Wired, frozen=True):
-    """Who counts from round `since` on. `members[p]` is robot p's incarnation, the number of the view that admitted it
-    last, or -1: it does not count."""
+    """Members from round `since` on.
+
+    `members[p]` is robot p's incarnation, which is the number of the view that admitted it last, or -1 if it is no
+    member.
+    """
 
     number: Natural
     since: Natural
@@ -107,25 +116,30 @@ class View(Wired, frozen=True):
 
 
 class Hello(Wired, frozen=True, tag=0):
-    """Joining, from one robot to another. A boot is taken for live only when `answer` repeats the `challenge` that
-    the receiver has open for it, and a challenge opens once. `holds`: those whose init result the sender holds.
-    `release` names the bundles that were built together (see RELEASE in a bundle): a robot listens to its own only."""
+    """Joining, from one robot to another.
+
+    A boot counts as alive only if `answer` repeats the `challenge` that the receiver has open for it, and a challenge
+    opens once. `holds`: robots whose init result the sender holds. `release` names the bundles that were built together
+    (see RELEASE in a bundle): a robot accepts only those of its own release.
+    """
 
     head: Head
     to: Pid
     challenge: Token
     answer: MaybeToken
     holds: Annotated[tuple[Pid, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
-    init: Closing | None
+    init: Entry | None
     start: Natural | None  # of round 1, in fleet time
     release: Release = b""
 
 
-class Round(Wired, frozen=True, tag=1):
-    """The sender's word: it is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and
-    holds robot p's closings up to `held[p]`; empty: everyone's up to `applied`, as in most rounds. All members hold
-    everything up to `settled`. Any robot may carry any other's closings. `emergency`: someone with the fleet's key has
-    stopped the fleet."""
+class RoundMessage(Wired, frozen=True, tag=1):
+    """Progress report and log entries.
+
+    The sender is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and holds robot p's
+    entries up to `held[p]`; an empty `held` means `applied` for all, as in most rounds. All members hold everything up
+    to `settled`. `emergency`: the sender knows of an emergency stop. `entries` may be of any robot.
+    """
 
     head: Head
     view: Natural
@@ -134,11 +148,11 @@ class Round(Wired, frozen=True, tag=1):
     settled: Natural
     emergency: bool
     held: MaybePerRobot
-    closings: tuple[Closing, ...]
+    entries: tuple[Entry, ...]
 
 
-class Partly(Wired, frozen=True):
-    """Of a robot's next closing, these pieces are there."""
+class HeldFragments(Wired, frozen=True):
+    """Fragments of a robot's next entry that the sender holds."""
 
     author: Pid
     round: Natural
@@ -146,33 +160,38 @@ class Partly(Wired, frozen=True):
     mask: Mask
 
 
-class Need(Wired, frozen=True, tag=2):
-    """A word as in Round, from one who asks at once for what it lacks up to `through`, and for the receiver's word."""
+class Nack(Wired, frozen=True, tag=2):
+    """Progress report as in RoundMessage, and a request.
+
+    The receiver shall send what the sender lacks up to round `through`, and its own progress report.
+    """
 
     head: Head
     view: Natural
     through: Natural
     applied: Natural
     held: PerRobot
-    partly: Annotated[tuple[Partly, ...], msgspec.Meta(max_length=8)]
+    received: Annotated[tuple[HeldFragments, ...], msgspec.Meta(max_length=8)]
 
 
-class Piece(Wired, frozen=True, tag=3):
-    """One of `count` pieces of an encoded closing that is longer than a datagram; `digest` is the whole's."""
+class Fragment(Wired, frozen=True, tag=3):
+    """One of `count` fragments of an encoded entry that is longer than a datagram; `digest` is that of the whole."""
 
     head: Head
     author: Pid
     incarnation: Natural
     round: Natural
     digest: Token
-    index: Annotated[int, msgspec.Meta(ge=0, lt=MOST_PIECES)]
-    count: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIECES)]
+    index: Annotated[int, msgspec.Meta(ge=0, lt=MOST_FRAGMENTS)]
+    count: Annotated[int, msgspec.Meta(ge=1, le=MOST_FRAGMENTS)]
     data: Data
 
 
 class Prepare(Wired, frozen=True, tag=4):
-    """Ballot `ballot` for the successor of `view`, which is decided, begins: will you vote in no lower one, and apply
-    no round meanwhile?"""
+    """Ballot `ballot` for the successor of `view`, which is decided, begins.
+
+    A robot that promises votes in no lower ballot, and applies no round until the successor is decided.
+    """
 
     head: Head
     ballot: Natural
@@ -180,21 +199,24 @@ class Prepare(Wired, frozen=True, tag=4):
 
 
 class Promise(Wired, frozen=True, tag=5):
-    """Yes. The sender went by `view` and had said to have applied up to `applied` in it; `state`: it still has the
-    store of that round; `accepted` is what it has voted for in ballot `voted`."""
+    """Answer to Prepare.
+
+    The sender goes by `view` and has reported to have applied up to `applied` in it. `has_store`: it still has the
+    store of that round. It has voted for `accepted` in ballot `voted`.
+    """
 
     head: Head
     number: Natural
     ballot: Natural
     view: Natural
     applied: Natural
-    state: bool
+    has_store: bool
     voted: Natural
     accepted: View | None
 
 
 class Accept(Wired, frozen=True, tag=6):
-    """Vote for this view."""
+    """Request to vote for a view."""
 
     head: Head
     ballot: Natural
@@ -202,7 +224,7 @@ class Accept(Wired, frozen=True, tag=6):
 
 
 class Accepted(Wired, frozen=True, tag=7):
-    """The sender has voted for what was put to it in that ballot."""
+    """The sender has voted for the value of that ballot."""
 
     head: Head
     number: Natural
@@ -216,9 +238,12 @@ class Decided(Wired, frozen=True, tag=8):
     value: View
 
 
-class Want(Wired, frozen=True, tag=9):
-    """From one who does not count or has no store. `incarnation` -1: let me in. Else that view has admitted it, and it
-    asks for the State; of the one applied up to `round` with this `digest` it has the pieces in `mask`."""
+class RejoinRequest(Wired, frozen=True, tag=9):
+    """From a robot that is no member or has no store.
+
+    With `incarnation` -1 it asks to be admitted. Else a view has admitted it with that incarnation, and it asks for the
+    Snapshot. Of the one after `round` with this `digest` it holds the fragments in `mask`.
+    """
 
     head: Head
     view: Natural
@@ -228,21 +253,23 @@ class Want(Wired, frozen=True, tag=9):
     mask: Mask
 
 
-class StatePiece(Wired, frozen=True, tag=10):
-    """One of `count` pieces of an encoded State; `digest` is the whole's."""
+class SnapshotFragment(Wired, frozen=True, tag=10):
+    """One of `count` fragments of an encoded Snapshot; `digest` is that of the whole."""
 
     head: Head
     round: Natural
     digest: Token
-    index: Annotated[int, msgspec.Meta(ge=0, lt=MOST_PIECES)]
-    count: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIECES)]
+    index: Annotated[int, msgspec.Meta(ge=0, lt=MOST_FRAGMENTS)]
+    count: Annotated[int, msgspec.Meta(ge=1, le=MOST_FRAGMENTS)]
     data: Data
 
 
-class State(Wired, frozen=True):
-    """The shared store after round `applied`: what someone needs who comes (back) in. `values[i]` is variable i's
-    value, an allread variable's as the array of its slots. `stopped[p]`: the round in which robot p stopped, or -1.
-    `acted[p]`: the last round in which an event of robot p counted."""
+class Snapshot(Wired, frozen=True):
+    """Shared store after round `applied`, for a robot that rejoins.
+
+    `values[i]` is variable i's value, an allread variable's as the array of its slots. `stopped[p]`: the round in which
+    robot p stopped, or -1. `acted[p]`: the last round in which an event of robot p counted.
+    """
 
     view: View
     applied: Natural
@@ -251,12 +278,14 @@ class State(Wired, frozen=True):
     acted: PerRobot
 
 
-Message = Hello | Round | Need | Piece | Prepare | Promise | Accept | Accepted | Decided | Want | StatePiece
+Ballots = Prepare | Promise | Accept | Accepted | Decided
+ReplicaMessage = RoundMessage | Nack | Fragment | Ballots | RejoinRequest | SnapshotFragment
+Message = Hello | ReplicaMessage
 
 encoder = msgspec.msgpack.Encoder()
 _decoder: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
-_closings: msgspec.msgpack.Decoder[Closing] = msgspec.msgpack.Decoder(Closing)
-_states: msgspec.msgpack.Decoder[State] = msgspec.msgpack.Decoder(State)
+_entries: msgspec.msgpack.Decoder[Entry] = msgspec.msgpack.Decoder(Entry)
+_states: msgspec.msgpack.Decoder[Snapshot] = msgspec.msgpack.Decoder(Snapshot)
 _FORMAT = bytes([WIRE_FORMAT])
 
 
@@ -271,41 +300,44 @@ def encode(message: Message, key: bytes | None) -> bytes:
 
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
-    """Return the message in a datagram, or why there is none."""
-    return decode_all((datagram,), key)[0]
+    """Return the message in a datagram, or why there is none. Nothing is read before its MAC was verified.
 
-
-def decode_all(datagrams: Sequence[bytes], key: bytes | None) -> list[Message | str]:
-    """Return the message in each datagram, or why there is none. Nothing is read before its MAC was verified.
-
-    Never raises. A closing keeps the payload that it arrived in alive; slices of a view would keep three objects.
+    Never raises. An entry keeps the payload that it arrived in alive; slices of a view would keep three objects.
     """
-    decoded, found = _decoder.decode, list[Message | str]()
-    for datagram, payload in zip(datagrams, unseal_all(key, MEMORY, datagrams), strict=True):
+    return decoder(key)(datagram)
+
+
+@lru_cache(maxsize=4)
+def decoder(key: bytes | None) -> Callable[[bytes], Message | str]:
+    """Return `decode` for one key."""
+    unseal, decode_payload = unsealer(key, MEMORY), _decoder.decode
+
+    def decode_(datagram: bytes) -> Message | str:
         if len(datagram) > LIMIT:
-            found.append("oversize")
-        elif payload is None:
-            found.append("not authentic")
-        elif payload[0] != WIRE_FORMAT:
-            found.append("another format version")
-        else:
-            try:
-                found.append(decoded(payload[1:]))
-            except (ValueError, RecursionError):
-                found.append("malformed")
-    return found
+            return "oversize"
+        payload = unseal(datagram)
+        if payload is None:
+            return "not authentic"
+        if payload[0] != WIRE_FORMAT:
+            return "another format version"
+        try:
+            return decode_payload(payload[1:])
+        except (ValueError, RecursionError):
+            return "malformed"
+
+    return decode_
 
 
-def closing_of(blob: bytes) -> Closing | None:
-    """The closing that came in pieces, or None when that is none."""
+def entry_of(blob: bytes) -> Entry | None:
+    """The entry that came in fragments, or None when that is none."""
     try:
-        return _closings.decode(blob)
+        return _entries.decode(blob)
     except (ValueError, RecursionError):
         return None
 
 
-def state_of(blob: bytes) -> State | None:
-    """The State that came in pieces, or None when that is none."""
+def snapshot_of(blob: bytes) -> Snapshot | None:
+    """The State that came in fragments, or None when that is none."""
     try:
         return _states.decode(blob)
     except (ValueError, RecursionError):
@@ -319,12 +351,12 @@ def epoch_of(boots: list[bytes]) -> bytes:
 
 
 def overhead(n_sys: int) -> int:
-    """The most bytes a sealed datagram has beside its closings or a piece's data, with `n_sys` robots."""
+    """The most bytes a sealed datagram has beside its entries or a fragment's data, with `n_sys` robots."""
     token = bytes(8)
     echoes = tuple(Echo(MAX_ROBOTS - 1, _TOP, _TOP) for _ in range(min(MAX_ECHOES, n_sys)))
     head = Head(_TOP, token, token, MAX_ROBOTS - 1, token, token, _TOP, _TOP, _TOP, echoes)
     held = (2**32 - 1,) * n_sys
-    piece = Piece(head, MAX_ROBOTS - 1, _TOP, _TOP, token, MOST_PIECES - 1, MOST_PIECES, b"")
+    fragment = Fragment(head, MAX_ROBOTS - 1, _TOP, _TOP, token, MOST_FRAGMENTS - 1, MOST_FRAGMENTS, b"")
     hello = Hello(head, MAX_ROBOTS - 1, token, token, tuple(range(n_sys)), None, _TOP, bytes(RELEASE_SIZE))
-    round_ = Round(head, _TOP, _TOP, _TOP, _TOP, True, held, ())
-    return MAC_SIZE + 1 + max(len(encoder.encode(m)) for m in (piece, hello, round_)) + 4
+    round_ = RoundMessage(head, _TOP, _TOP, _TOP, _TOP, True, held, ())
+    return MAC_SIZE + 1 + max(len(encoder.encode(m)) for m in (fragment, hello, round_)) + 4

@@ -11,7 +11,7 @@ from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Calls, Effects, Life
-from koordgen.runtime.replication.views import described
+from koordgen.runtime.replication.views import describe
 from koordgen.runtime.trace.watched import FOR_GOOD, Change
 from koordgen.runtime.trace.writer import Observe, Record, Trace
 from koordgen.runtime.values.clock import Clock
@@ -133,7 +133,7 @@ class Journal:
         normal that others end and no longer count."""
         self._trace.view(self._clock.now(), view.number, view.since, view.members)
         if view.number:
-            self.log("info" if over else "warning", described(view, names))
+            self.log("info" if over else "warning", describe(view, names))
 
     @property
     def traces(self) -> bool:

@@ -1,4 +1,8 @@
-"""One robot's closings as another holds them: without a gap up to a round, and some beyond a gap."""
+"""Log of one robot's entries: contiguous up to `held`, with some more behind a gap.
+
+An entry ends one or more rounds of its author: rounds in which an event ran have one entry each, adjacent silent rounds
+share one. So the log of a robot that is silent for hours is one entry.
+"""
 
 from __future__ import annotations
 
@@ -8,159 +12,145 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.net.ledger import Ledger
-from koordgen.runtime.net.wire import Closing, Write
+from koordgen.runtime.net.wire import Entry, Write
 
-GAPS = 64  # closings kept while one before them is missing
+MOST_BEHIND_GAP = 64  # entries kept while one before them is missing
+MOST_SHARING = 8  # entries of one author that may keep the datagram that they came in alive: most are soon dropped
 
 Values = Sequence[tuple[int, Any]]
 
 
-class Entry(msgspec.Struct, frozen=True, gc=False):
-    """A closing and the values in it by index."""
+class Logged(msgspec.Struct, frozen=True, gc=False):
+    """An entry, and the values in it by the index of their variables."""
 
-    closing: Closing
+    entry: Entry
     values: Values
 
     @property
-    def single(self) -> bool:
-        """Whether it is of one round in which something was done, not of several in which nothing was."""
-        return not _is_silent(self.closing)
+    def is_single(self) -> bool:
+        """True if something was done in the entry's round; such an entry is of one round only."""
+        return not is_silent(self.entry)
 
 
-def detached(closing: Closing) -> Closing:
-    """The closing with writes of its own: it must not keep the whole datagram that it came in."""
-    if not closing.writes:
-        return closing
-    kept = tuple([Write(w.index, msgspec.Raw(bytes(w.value)), w.patch) for w in closing.writes])
-    return msgspec.structs.replace(closing, writes=kept)
+def is_silent(entry: Entry) -> bool:
+    """Return whether the author did nothing in the entry's rounds."""
+    return not (entry.writes or entry.acted or entry.lock >= 0)
 
 
-def shortened(closing: Closing, last: int) -> Closing:
-    """The closing up to a round."""
-    return msgspec.structs.replace(closing, round=last)
+def shortened(entry: Entry, last: int) -> Entry:
+    """Return the entry up to round `last`."""
+    return msgspec.structs.replace(entry, round=last)
 
 
-def _since(closing: Closing, first: int) -> Closing:
-    """The closing from a round on."""
-    return closing if closing.first >= first else msgspec.structs.replace(closing, first=first)
+def _from(entry: Entry, first: int) -> Entry:
+    """Return the entry without the rounds before `first`."""
+    return entry if entry.first >= first else msgspec.structs.replace(entry, first=first)
 
 
-def _is_silent(closing: Closing) -> bool:
-    return not (closing.writes or closing.acted or closing.lock >= 0)
+def _detached(entry: Entry) -> Entry:
+    """Return the entry with a copy of its writes, so that it does not keep a whole datagram alive."""
+    if not entry.writes:
+        return entry
+    writes = tuple([Write(w.index, msgspec.Raw(bytes(w.value)), w.patch) for w in entry.writes])
+    return msgspec.structs.replace(entry, writes=writes)
 
 
-def _joined(before: Closing, closing: Closing) -> Closing | None:
-    """Both as one, where both are silence, and one goes on where the other ends."""
-    if not _is_silent(before) or not _is_silent(closing) or before.round != closing.first - 1:
+def _merged(before: Entry, entry: Entry) -> Entry | None:
+    """Return two silent entries as one, or None if they are not silent and adjacent."""
+    if before.round != entry.first - 1 or not is_silent(before) or not is_silent(entry):
         return None
-    if before.stopped != closing.stopped or before.incarnation != closing.incarnation:
+    if before.stopped != entry.stopped or before.incarnation != entry.incarnation:
         return None
-    return msgspec.structs.replace(closing, first=before.first)
+    return msgspec.structs.replace(before, round=entry.round, stopped=entry.stopped)
 
 
 class Log:
-    """`entries` are without a gap up to `held` (from some round on that everyone holds), `later`, by their first round,
-    beyond a gap."""
+    """One robot's entries.
 
-    __slots__ = ("_ledger", "_pid", "entries", "later")
+    `held`: all entries up to this round have been here. `kept`: those of them that some member may still need, in
+    ascending order and without a gap; the last one ends at `held`. `later`: entries behind a gap, by their first round.
+    Invariant: every entry in `later` begins after held + 1.
+    """
 
-    def __init__(self, ledger: Ledger, pid: int) -> None:
-        self._ledger, self._pid = ledger, pid
-        self.entries: list[Entry] = []
-        self.later: dict[int, Entry] = {}
+    __slots__ = ("held", "kept", "later")
 
-    @property
-    def held(self) -> int:
-        return self._ledger.held[self._pid]
+    def __init__(self, held: int) -> None:
+        self.held = held
+        self.kept: list[Logged] = []
+        self.later: dict[int, Logged] = {}
 
-    def __len__(self) -> int:
-        return len(self.entries)
+    def has_room(self, first: int) -> bool:
+        """Return whether an entry that begins at round `first` may be kept."""
+        return first <= self.held + 1 or len(self.later) < MOST_BEHIND_GAP
 
-    def _reach(self, held: int) -> None:
-        ledger, pid = self._ledger, self._pid
-        ledger.held[pid] = held
-        ledger.gap[pid] = bool(self.later)
-
-    def take(self, entry: Entry) -> None:
-        """Keep a closing that reaches beyond `held`."""
-        closing = entry.closing
-        if closing.first == self.held + 1 and closing.acted and not self.later:  # nearly always, so first
-            self.entries.append(entry)
-            self._reach(closing.round)
+    def append(self, entry: Entry, values: Values) -> None:
+        """Keep an entry that ends after `held`."""
+        if entry.first == self.held + 1 and entry.acted and not self.later and len(self.kept) < MOST_SHARING:
+            self.kept.append(Logged(entry, values))  # nearly always, so first
+            self.held = entry.round
             return
-        if closing.first <= self.held + 1:
-            self.append(entry)
+        if len(self.kept) >= MOST_SHARING or entry.first > self.held + 1:
+            entry = _detached(entry)
+        if entry.first <= self.held + 1:
+            self._extend(Logged(entry, values))
             if self.later:
-                self._absorb()
+                self._close_gap()
             return
-        known = self.later.get(closing.first)
-        if known is None or known.closing.round < closing.round:
-            self.later[closing.first] = entry
-            self._ledger.gap[self._pid] = True
+        known = self.later.get(entry.first)
+        if known is None or known.entry.round < entry.round:
+            self.later[entry.first] = Logged(entry, values)
 
-    def append(self, entry: Entry) -> None:
-        """Keep a closing that begins where `held` ends."""
-        closing = _since(entry.closing, self.held + 1)
-        self._join(entry if closing is entry.closing else Entry(closing, entry.values))
-        self._reach(closing.round)
-
-    def _join(self, entry: Entry) -> None:
-        """Keep what comes next; silence is joined to silence."""
-        entries = self.entries
-        both = _joined(entries[-1].closing, entry.closing) if entries else None
-        if both is None:
-            entries.append(entry)
+    def _extend(self, logged: Logged) -> None:
+        """Keep an entry that begins no later than held + 1."""
+        entry = _from(logged.entry, self.held + 1)
+        merged = _merged(self.kept[-1].entry, entry) if self.kept else None
+        if merged is not None:
+            self.kept[-1] = Logged(merged, ())
         else:
-            entries[-1] = Entry(both, ())
+            self.kept.append(logged if entry is logged.entry else Logged(entry, logged.values))
+        self.held = entry.round
 
-    def at(self, round_: int) -> Entry:
-        """The entry that covers a round which is held and not forgotten."""
-        entries = self.entries
-        last = entries[-1]
-        if last.closing.first <= round_ <= last.closing.round:
-            return last
-        return entries[bisect_left(entries, round_, key=lambda e: e.closing.round)]
-
-    def between(self, low: int, high: int) -> list[Closing]:
-        """The closings of these rounds, as far as they are held and not forgotten."""
-        entries = self.entries
-        found = [e.closing for e in entries[bisect_left(entries, low, key=lambda e: e.closing.round) :]]
-        return [_since(closing, low) for closing in found if closing.first <= high]
-
-    def forget(self, through: int) -> None:
-        """Drop what ends by a round."""
-        entries = self.entries
-        if entries:
-            count = through + 1 - entries[0].closing.first  # where each is of one round
-            if not 0 < count <= len(entries) or entries[count - 1].closing.round != through:
-                count = bisect_right(entries, through, key=lambda e: e.closing.round)
-            del entries[:count]
-
-    def cut(self, last: int) -> None:
-        """Drop everything beyond a round: it does not count."""
-        entries = self.entries
-        self.later.clear()
-        while entries and entries[-1].closing.first > last:
-            entries.pop()
-        if entries and entries[-1].closing.round > last:
-            final = entries.pop()
-            entries.append(Entry(shortened(final.closing, last), final.values))
-        self._reach(min(self.held, last))
-
-    def skip(self, last: int) -> None:
-        """Take the rounds up to `last` for held: their author did not count."""
-        if last > self.held:
-            self._reach(last)
-        self._absorb()
-
-    def _absorb(self) -> None:
-        """Append what is no longer beyond a gap."""
+    def _close_gap(self) -> None:
+        """Move entries that are no longer behind a gap."""
         while self.later:
             first = min(self.later)
             if first > self.held + 1:
                 return
-            entry = self.later.pop(first)
-            if entry.closing.round > self.held:
-                self.append(entry)
-        self._ledger.gap[self._pid] = False
+            logged = self.later.pop(first)
+            if logged.entry.round > self.held:
+                self._extend(logged)
+
+    def at(self, round_: int) -> Logged:
+        """Return the entry of a round that is held and was not dropped."""
+        kept = self.kept
+        last = kept[-1]
+        if last.entry.first <= round_ <= last.entry.round:
+            return last
+        return kept[bisect_left(kept, round_, key=lambda logged: logged.entry.round)]
+
+    def between(self, low: int, high: int) -> list[Entry]:
+        """Return the entries of rounds `low` to `high` that are held and were not dropped."""
+        begin = bisect_left(self.kept, low, key=lambda logged: logged.entry.round)
+        return [_from(logged.entry, low) for logged in self.kept[begin:] if logged.entry.first <= high]
+
+    def drop(self, through: int) -> None:
+        """Drop the entries that end by round `through`: every member holds them."""
+        kept = self.kept
+        if kept and kept[0].entry.round <= through:
+            del kept[: bisect_right(kept, through, key=lambda logged: logged.entry.round)]
+
+    def truncate(self, last: int) -> None:
+        """Drop everything after round `last`: it does not count."""
+        kept = self.kept
+        self.later.clear()
+        while kept and kept[-1].entry.first > last:
+            kept.pop()
+        if kept and kept[-1].entry.round > last:
+            final = kept.pop()
+            kept.append(Logged(shortened(final.entry, last), final.values))
+        self.held = min(self.held, last)
+
+    def skip(self, last: int) -> None:
+        """Count the rounds up to `last` as held: their author was no member in them."""
+        self.held = max(self.held, last)
+        self._close_gap()

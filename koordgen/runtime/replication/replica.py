@@ -1,367 +1,514 @@
-"""One robot's shared memory as it talks to the others: words, closings, questions, ballots, and coming back.
+"""Replica: one robot's part in the protocol, as a pure state machine.
 
-Sends round messages, acknowledgements and retransmissions, and runs the failure detector and view changes.
-
-`memory` is the store, or None while this robot has none that counts: after its process began anew, or after the others
-went on without it. Time comes in as ticks, SLOTS in a round.
+Inputs are messages (`step`), time (`tick`) and the robot's own rounds (`propose`); `ready` returns what is to be
+persisted, sent and applied. There is no clock, network, disk or randomness here; `driver` has them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.net.assembly import Assembly
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.ledger import SETTLED, WANTING
-from koordgen.runtime.net.link import Link
-from koordgen.runtime.net.speech import Fields
 from koordgen.runtime.net.wire import (
-    Accept,
+    Ballots,
     Decided,
-    Need,
-    Partly,
-    Piece,
-    Prepare,
-    Promise,
-    Round,
-    StatePiece,
+    Entry,
+    Fragment,
+    Nack,
+    RejoinRequest,
+    ReplicaMessage,
+    RoundMessage,
+    Snapshot,
+    SnapshotFragment,
     View,
-    Want,
 )
 from koordgen.runtime.program.runner import NOT_CURRENT
-from koordgen.runtime.replication.comeback import Comeback, Store
-from koordgen.runtime.replication.memory import AHEAD, Memory
-from koordgen.runtime.replication.news import News
-from koordgen.runtime.replication.patience import asked, few, helps
-from koordgen.runtime.replication.views import Out, Views, Vote, Word, fits, majority
+from koordgen.runtime.replication.failure_detector import FailureDetector
+from koordgen.runtime.replication.messages import NO_PARTS, Applied, HardState, Ready, Send
+from koordgen.runtime.replication.progress import Progress, commit_index, majority
+from koordgen.runtime.replication.rejoin import Rejoin, Snapshots
+from koordgen.runtime.replication.retransmission import (
+    RetransmissionPolicy,
+    is_fleet_late,
+    is_helper,
+    recipients,
+    some,
+)
+from koordgen.runtime.replication.state_machine import AHEAD, StateMachine
+from koordgen.runtime.replication.views import Report, Views, is_possible
 
-SLOTS = 5  # moments in a round at which what is missing is asked for
-ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
-HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
-
-Talk = Any  # one of wire.Message but Hello
-Announce = Callable[[View, int, Vote], None]
-
-
-@dataclass(slots=True)
-class _Peer:
-    asked: int = -ASKED  # ticks
-    told: int = -1
-    partly: dict[int, Partly] = field(default_factory=dict)
+TICKS = 5  # in a round
+REQUEST_TICK = 3  # the tick of a round from which on its own entries are requested, before it those of the last one
+JOIN_TICKS = 3 * TICKS  # for which a request to join counts
+HEARD_TICKS = 2 * TICKS  # for which a robot counts as one that can be heard
+SETTLE_AFTER = 3  # rounds that `settled` may stay behind
 
 
 class Replica:
-    """`announce` keeps a view, the last round said to have been applied in it, and a vote, for the time after a
-    restart; it is called before any datagram that says so leaves."""
+    """One robot's replica.
+
+    `state` is its copy of the store, or None while it has none that counts: after its process began anew, or after a
+    view without it. `hard_state` is what was persisted last. `room`: bytes of a message for a fragment of a snapshot.
+    """
 
     def __init__(
         self,
-        link: Link,
+        pid: int,
         layout: Layout,
-        memory: Memory | None,
-        view: View,
-        vote: Vote,
-        applied: int,
+        state: StateMachine | None,
+        hard_state: HardState,
         peer_timeout: int,
-        announce: Announce,
+        room: int,
     ) -> None:
-        self._link, self._speech = link, link.speech
+        self.pid, self._n = pid, layout.n_sys
         self._layout = layout
-        self.pid, self._n = link.pid, layout.n_sys
-        self._peer_timeout = peer_timeout
-        self._announce = announce
-        self._said = applied
-        self._others = tuple([p for p in range(self._n) if p != self.pid])
-        self._peers = {p: _Peer() for p in self._others}
-        self._heard = [-HEARD] * self._n  # the last message of each; ticks
+        self._peer_timeout = peer_timeout  # rounds
+        self._others = tuple([p for p in range(self._n) if p != pid])
+        self.peers = {p: Progress() for p in self._others}
+        self._tick, self.round = 0, 1  # the present tick, and the present round, which it is in
+        self.state = state
+        self._spare: StateMachine | None = None  # from the beginning of a view without this robot: all others may die
+        self.rejoin = None if state is not None else Rejoin(pid, hard_state.view.number)
+        self.acknowledged = hard_state.applied  # the last round that this robot has reported as applied, or may report
+        self.views = Views(pid, hard_state.view, hard_state.vote, self.promise_report, self._holds_all, self._adopted)
+        self.policy = RetransmissionPolicy(pid, self._n)
+        self._detector = FailureDetector(self._n, self.round)
         self._assembly = Assembly()
-        self._stores = Store()
-        self._tick = 0
-        self._turn = self.pid
-        self._asked = -ASKED  # when one asked last to be let in
-        self._news = News(self._n)
-        self.memory = memory
-        self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
-        self.comeback = None if memory is not None else Comeback(self.pid, view.number)
-        self.views = Views(self.pid, view, vote, self._own_word, self._holds, self._follow, self._save)
-        self.emergency = False  # heard of one
-        self.returns = 0  # times that the store became another one, or none, instead of going on
+        self._snapshots = Snapshots(room)
+        self._turn = pid  # grows with each request; says who is asked of many
+        self._join_asked = -JOIN_TICKS  # the tick at which some robot asked last to join
+        self.published = hard_state.applied if state is None else state.logs[pid].held  # last own round that was sent
+        self.emergency = False  # this robot knows of an emergency stop
+        self.store_changes = 0  # times that the store was replaced, or lost, instead of going on
+        self._persisted = hard_state
+        self._applied = Applied(-1, -1)  # as last returned by `ready`
+        self._private: object = None
+        self._sends: list[Send] = []
+        self._rejected: list[str] = []
+        self._requested: list[int] = []
+        self._has_progress = True  # reports, the applied round or the view have changed since `ready` was called
+
+    # State, as the rounds see it.
 
     @property
-    def out(self) -> bool:
-        """Whether this robot does not count at present, or has no store."""
-        return self.memory is None
+    def is_out(self) -> bool:
+        """True if this robot is no member at present, or has no store."""
+        return self.state is None
 
-    def busy(self) -> bool:
-        """Whether there may be something to do at the next tick."""
-        return self.comeback is not None or self.views.busy()
+    @property
+    def is_busy(self) -> bool:
+        """True if there may be something to do at the next tick."""
+        return self.rejoin is not None or self.views.is_busy
 
     @property
     def status(self) -> str:
-        """Why there is no store, in words."""
-        if self.comeback is not None and self.comeback.incarnation(self.views.view) >= 0:
+        """In words, why there is no store."""
+        if self.rejoin is not None and self.rejoin.incarnation(self.views.view) >= 0:
             return f"{NOT_CURRENT}: let in again, gathers the shared store"
         return f"{NOT_CURRENT}: does not count in the fleet, asks to be let in"
 
-    def begin(self, round_: int) -> bool:
-        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
-        tick = (round_ - 1) * SLOTS
-        self._tick = self.views.tick = tick
-        return not self.emergency and self._calm(round_)
+    @property
+    def laggard(self) -> int:
+        """The member that, by its own reports, has applied least."""
+        applied = self._member_progress()
+        return min(applied, key=lambda p: applied[p], default=self.pid)
 
-    def alarm(self) -> None:
-        """Tell the others at once to come to rest, and from now on with each word."""
+    def unaware(self, round_: int) -> list[int]:
+        """Return the members that have not reported a round as applied."""
+        return [p for p, applied in self._member_progress().items() if applied < round_]
+
+    def _member_progress(self) -> dict[int, int]:
+        """Return how far the other members have applied, by their reports in the present view; -1: no report."""
+        view = self.views.view
+        return {
+            p: peer.applied if peer.view == view.number else -1
+            for p, peer in self.peers.items()
+            if view.members[p] >= 0
+        }
+
+    # Output.
+
+    def ready(self) -> Ready:
+        """Return what is to be persisted, sent and applied since the last call."""
+        apply = self._new_progress() if self._has_progress else None
+        view, vote, persisted, persist = self.views.view, self.views.vote, self._persisted, None
+        if view is not persisted.view or vote is not persisted.vote or self.acknowledged != persisted.applied:
+            self._persisted = persist = HardState(view, self.acknowledged, vote)
+        ready = Ready(persist, self._private, self._sends, apply, self._rejected, self._requested)
+        self._private = None
+        if self._sends:
+            self._sends = []
+        if self._rejected:
+            self._rejected = []
+        if self._requested:
+            self._requested = []
+        return ready
+
+    def _new_progress(self) -> Applied | None:
+        """Update the commit index, and return it with the applied round if one of them has changed."""
+        self._has_progress = False
+        state, known = self.state, self._applied
+        if state is None:
+            return None
+        applied = self.acknowledged = state.applied
+        committed = commit_index(self.peers.values(), self.views.view, applied)
+        if committed > state.committed:
+            state.committed = committed
+        if applied == known.applied and state.committed == known.committed:
+            return None
+        self._applied = Applied(applied, state.committed)
+        return self._applied
+
+    def _send(self, sends: Sequence[Send]) -> None:
+        self._sends += [send for send in sends if send.to]
+
+    def _send_round(self, to: Sequence[int], round_: int, entries: Sequence[Entry] = (),
+                    received: Mapping[int, Any] = NO_PARTS) -> None:  # fmt: skip
+        """Send a round message: the progress report of `round_` with entries."""
+        if to:
+            self._sends.append(Send(to, RoundMessage, (*self._progress_report(round_), tuple(entries)), received))
+
+    def _progress_report(self, round_: int) -> tuple[int, int, int, int, bool, tuple[int, ...]]:
+        """Return the fields of a RoundMessage between its head and its entries."""
+        state = self.state
+        if state is None:
+            return self.views.view.number, 0, self.acknowledged, 0, self.emergency, (0,) * self._n
+        held = state.held if state.applied < round_ - 1 else ()  # else all of them are held up to `applied`
+        return state.view.number, round_, state.applied, state.settled, self.emergency, held
+
+    def _reject(self, reason: str) -> None:
+        self._rejected.append(reason)
+
+    # The robot's own rounds.
+
+    def skip_rounds(self, through: int, stopped: bool) -> None:
+        """Close rounds that the robot slept through. Their entry is sent with the next one."""
+        state = self.state
+        if state is not None and state.logs[self.pid].held < through:
+            state.close(through, {}, stopped=stopped)
+
+    def propose(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
+                awaits_commit: bool = False, lock: int = -1, private: object = None) -> None:  # fmt: skip
+        """Close a round and send its entry; see StateMachine.close.
+
+        `private` is persisted before the entry is sent. Peers that lack entries are sent those, too, unless the robot
+        is short of time.
+        """
+        self._private = private
+        first, self.published = self.published + 1, round_
+        state = self.state
+        if state is None:
+            silent = None if self.rejoin is None else self.rejoin.silence(round_, self.views.view)
+            self._send_round(self._others, round_, () if silent is None else (silent,))
+            return
+        entry = state.close(round_, shared, stopped=stopped, acted=acted, awaits_commit=awaits_commit, lock=lock)
+        own: Sequence[Entry] = (entry,) if entry.first <= first else state.own(first)
+        served: list[int] = []
+        lacking = [] if self.policy.is_strained(round_) else [p for p, peer in self.peers.items() if peer.lacks]
+        for pid in some(lacking, round_):
+            repeated = self._lacked_entries(state, pid, is_helper(self.pid, pid, round_, self._n))
+            if repeated:
+                last = max([e.round for e in repeated if e.author == self.pid], default=0)
+                entries = [*(e for e in own if e.round > last), *repeated]
+                self._send_round([pid], round_, entries, self.peers[pid].received)
+                served.append(pid)
+        self._send_round([p for p in self._others if p not in served] if served else self._others, round_, own)
+
+    def send_report(self, round_: int) -> None:
+        """Send a progress report to all robots."""
+        self._send_round(self._others, round_)
+
+    def acknowledge(self, round_: int) -> None:
+        """Send a progress report to the robots that wait for this robot to apply the last round."""
+        if self.state is not None:
+            self._send_round([p for p in self.state.awaiting if p != self.pid], round_)
+
+    def declare_emergency(self) -> None:
+        """Tell the other robots to stop: at once, and with every further round message."""
         self.emergency = True
-        self._speech.round(self._others, self.word(0), ())
+        self._send_round(self._others, 0)
 
-    def word(self, round_: int) -> Fields:
-        """What this robot says of itself in `round_`; kept before it is said."""
-        memory = self.memory
-        if memory is None:
-            return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
-        if memory.applied != self._said:
-            self.keep()
-        held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
-        return memory.view.number, round_, memory.applied, memory.ledger.number[SETTLED], self.emergency, held
+    def request(self, tick: int, on_time: bool, awaited: int | None) -> bool:
+        """Request missing entries at tick `tick` of the present round. Return whether a request was sent.
 
-    def publish(self, first: int, round_: int, strained: bool) -> None:
-        """The own closings from `first` on go to everyone, and to few what they lacked when they last spoke; to none
-        where time is short, and what is lacking late rather than lost: see `patience`."""
-        memory, word = self.memory, self.word(round_)
-        if memory is None:
-            closing = None if self.comeback is None else self.comeback.silence(round_, self.views.view)
-            self._speech.round(self._others, word, () if closing is None else (closing,))
-            return
-        calm = strained or not memory.ledger.number[WANTING]
-        own = memory.own(first)
-        if calm:
-            self._speech.round(self._others, word, own)
-            return
-        known, repeated = {c.round for c in own}, []
-        for pid in few(memory.unanswered(), round_):
-            repeats = memory.repeat(pid, helps(self.pid, pid, round_, self._n))
-            if repeats:
-                rest = [c for c in repeats if c.author != self.pid or c.round not in known]
-                self._speech.round([pid], word, [*own, *rest], self._peers[pid].partly)
-                repeated.append(pid)
-        self._speech.round([p for p in self._others if p not in repeated], word, own)
-
-    def tell(self, round_: int) -> None:
-        """This robot's word, to everyone."""
-        self._speech.round(self._others, self.word(round_), ())
-
-    def confirm(self, round_: int) -> None:
-        """Tell those who wait for it that this robot has applied a round."""
-        memory = self.memory
-        if memory is not None and memory.prompt and (waiting := [p for p in memory.prompt if p != self.pid]):
-            self._speech.round(waiting, self.word(round_), ())
-
-    def ask(self, missing: list[int], unaware: list[int], through: int) -> None:
-        """Ask for others' closings up to `through` that are missing, of their authors and of one who may hold them, and
-        for the word of those whose word is wanted."""
-        memory = self.memory
-        assert memory is not None
+        `on_time`: the robot woke when it was due. `awaited`: a round whose commit the robot waits for: reports are
+        requested from members that have not acknowledged it.
+        """
+        state, round_ = self.state, self.round
+        if state is None:
+            return False
+        through = round_ if tick >= REQUEST_TICK else round_ - 1
+        missing = [p for p in state.missing(through) if p != self.pid]
+        unaware = self.unaware(awaited) if awaited is not None and (awaited < through or tick >= 1) else []
+        self.policy.wakes(round_, on_time and not is_fleet_late(len(missing), self._n))
+        if not (missing or unaware) or not self.policy.asks(round_, on_time, self._is_lost(state, missing)):
+            return False
         self._turn += 1
-        peers, each = asked(missing, unaware, self._others, self._turn)
-        partly, (view, _, applied, *_) = self._assembly.partly(), self.word(through)
-        for pid in peers:
-            self._link.metrics.repeated(pid)
-        for to in each:
-            self._speech.say(to, Need, view, through, applied, memory.held, partly)
+        authors, groups = recipients(missing, unaware, self._others, self._turn)
+        self._requested += authors
+        view, _, applied, *_ = self._progress_report(through)
+        need = view, through, applied, state.held, self._assembly.received()
+        self._send([Send(to, Nack, need) for to in groups])
+        return True
 
-    def take(self, message: Talk, present: int) -> None:
-        """A message of this mission, heard in round `present`."""
-        sender = message.head.pid
-        self._heard[sender] = self._tick
-        if isinstance(message, Round):
-            self._round(message, present)
+    def _is_lost(self, state: StateMachine, missing: Sequence[int]) -> bool:
+        """Return whether entries of these robots were sent: later ones are here, or another robot has them."""
+        applied = max([peer.applied for peer in self.peers.values()], default=0)
+        return any(state.logs[p].later or state.logs[p].held < applied for p in missing)
+
+    def _lacked_entries(self, state: StateMachine, pid: int, helps: bool) -> list[Entry]:
+        """Return the entries that a peer lacked by its last report, once for each report.
+
+        Unless this robot `helps`, these are only its own. Own entries come first, so that several robots that answer at
+        once begin with different ones.
+        """
+        peer = self.peers[pid]
+        if not peer.lacks or state.view.members[pid] < 0:
+            return []
+        peer.lacks = False
+        found: list[Entry] = []
+        for author in (*range(self.pid, self._n), *range(self.pid)) if helps else (self.pid,):
+            low = max(peer.holds(author), state.settled) + 1
+            if low <= peer.wanted:
+                found += state.logs[author].between(low, peer.wanted)
+        return found
+
+    # Time.
+
+    def tick(self, tick: int) -> None:
+        """Begin a tick, counted from round 1 on: look for suspects, for robots that join, and after the own rejoin."""
+        self._tick = self.views.tick = tick
+        self.round = tick // TICKS + 1
+        if self.emergency:
+            self._send_round(self._others, self.round)
+        if tick % TICKS == 0 and self._is_calm():
             return
+        since = tick - HEARD_TICKS
+        if 1 + len([peer for peer in self.peers.values() if peer.heard > since]) < majority(self._n):
+            self._detector.restart_all(self.round)
+        else:
+            joining = [p for p, peer in self.peers.items() if peer.asked_to_join > tick - JOIN_TICKS]
+            self._send(self.views.poll(tick, self._suspects(), joining))
+            self._freeze()
+        if self.rejoin is not None:
+            self._send(self.rejoin.poll(tick, self.views.view))
+
+    def _is_calm(self) -> bool:
+        """Return whether, as at the beginning of nearly all rounds, nothing is late, and no view change is wanted."""
+        calm = not self.is_busy and self._join_asked <= self._tick - JOIN_TICKS
+        return calm and self.state is not None and self.state.applied >= self.round - 1
+
+    def _suspects(self) -> list[int]:
+        if self.state is None:
+            return []
+        last = self.round - self._peer_timeout
+        missing = [p for p in self.state.missing(last - 1) if p != self.pid]
+        return self._detector.suspects(missing, self.state.arrived, last)
+
+    def apply_rounds(self) -> bool:
+        """Apply the rounds of which all entries are here. Return whether there was one."""
+        state = self.state
+        if state is None or not state.apply_rounds():
+            return False
+        self._has_progress = True
+        if state.applied >= state.settled + SETTLE_AFTER:
+            state.settle(min([state.applied, *self._member_progress().values()]))
+        return True
+
+    # Messages.
+
+    def step(self, message: ReplicaMessage) -> None:
+        """Handle a message of another robot. It is authentic and of this mission."""
+        sender = message.head.pid
+        peer = self.peers[sender]
+        peer.heard = self._tick
         match message:
-            case Need():
-                self._need(sender, message, present)
-            case Piece():
-                self._piece(message, present)
-            case Want():
+            case RoundMessage():  # nearly all
+                self._round(sender, peer, message)
+            case Nack():
+                self._need(sender, peer, message)
+            case Fragment():
+                self._fragment(message)
+            case RejoinRequest():
                 self._want(sender, message)
-            case StatePiece():
-                self._state(message)
+            case SnapshotFragment():
+                self._state_fragment(message)
             case _:
                 self._ballot(sender, message)
 
-    def poll(self, tick: int, present: int) -> None:
-        """What is due at the beginning of a tick in round `present`."""
-        self._tick = self.views.tick = tick
-        if self.emergency:
-            self._speech.round(self._others, self.word(present), ())
-        if tick % SLOTS == 0 and self._calm(present):
+    def _round(self, sender: int, peer: Progress, message: RoundMessage) -> None:
+        view, state, round_, settled = message.view, self.state, self.round, message.settled
+        if message.emergency:
+            self.emergency = True
+        if view < self.views.view.number:
+            self._inform(sender, view)
+        if state is None:
             return
-        since = tick - HEARD
-        heard = 1 + len([p for p in self._others if self._heard[p] > since])
-        if heard >= majority(self._n):
-            asking = [pid for pid, peer in self._peers.items() if peer.asked > tick - ASKED]
-            self._send(self.views.poll(tick, self._doubted(present), asking))
-            self._freeze()
-        if self.comeback is not None:
-            self._send(self.comeback.poll(tick, self.views.view))
-
-    def _calm(self, present: int) -> bool:
-        """Whether, as at the beginning of nearly all rounds, nobody is late, and nobody wants another view."""
-        calm = not self.busy() and self._asked <= self._tick - ASKED
-        return calm and self.memory is not None and self.memory.applied >= present - 1
-
-    def complete(self, present: int) -> None:
-        """Note that all closings of round `present` are here, in that round."""
-        self._news.complete(present)
-
-    def _doubted(self, present: int) -> list[int]:
-        """The members of whom nothing new has come for too long."""
-        memory = self.memory
-        if memory is None:
-            return []
-        self._news.note(memory.held, present)
-        last = present - self._peer_timeout
-        return self._news.silent([p for p in memory.missing(last - 1) if p != self.pid], last)
-
-    def keep(self) -> None:
-        """Keep the last applied round, before anyone is told of it or acts on it."""
-        memory = self.memory
-        if memory is not None and memory.applied != self._said:
-            self._said, announce, views = memory.applied, self._announce, self.views
-            announce(views.view, self._said, views.vote)
-
-    def _own_word(self) -> Word:
-        self.keep()
-        return Word(self.views.view.number, self._said, self.memory is not None or self._spare is not None)
-
-    def _holds(self, value: View) -> bool:
-        """Whether this robot's vote helps the view to last: who would lose its store by it gives none, nor who has none
-        and is not let in. Else what such a view begins with could be in the hands of one robot alone."""
-        memory, last = self.memory, value.since - 1
-        if memory is None:
-            return value.members[self.pid] >= 0
-        stays = value.number == memory.view.number + 1 and value.members[self.pid] >= 0
-        return stays and (memory.applied >= last or not memory.missing(last))
-
-    def _save(self) -> None:
-        self._announce(self.views.view, self._said, self.views.vote)
-
-    def _send(self, outs: Collection[Out]) -> None:
-        for to, kind, fields in outs:
-            self._speech.say(to, kind, *fields)
-
-    def _round(self, word: Round, present: int) -> None:
-        self.emergency = self.emergency or word.emergency
-        self._tell(word.head.pid, word.view)
-        if self.memory is not None:
-            for refused in self.memory.receive(word, present):
-                self._link.reject(refused)
-
-    def _need(self, sender: int, message: Need, present: int) -> None:
-        self._tell(sender, message.view)
-        memory, through = self.memory, message.through
-        if memory is None:
+        for entry in message.entries:
+            refused = state.append(entry, round_)
+            if refused is not None:
+                self._reject(refused)
+        wanted = message.round - 1
+        if not self._is_possible(message.applied, message.held, wanted if wanted > settled else settled):
             return
-        refused = memory.heard(sender, message.view, message.applied, message.held, through, 0, present, asks=True)
-        if refused is not None:
-            self._link.reject(refused)
-            return
-        peer = self._peers[sender]
-        peer.partly = {p.author: p for p in message.partly}
-        ours = message.held[self.pid] >= through  # it wants only what others wrote
-        closings = memory.repeat(sender, ours or helps(self.pid, sender, present, self._n))
-        if closings or memory.held[self.pid] >= through:  # else ours is still to come, with our word, to all
-            self._speech.round([sender], self.word(present), closings, peer.partly)
+        if peer.report(view, message.applied, message.held, wanted, again=False):
+            self._has_progress = True
+        if settled > state.settled and view == state.view.number:
+            state.settle(min(settled, state.applied))
 
-    def _piece(self, piece: Piece, present: int) -> None:
-        memory = self.memory
-        if memory is None or piece.author >= self._n:
+    def _is_possible(self, applied: int, held: Sequence[int], latest: int) -> bool:
+        """Return whether a progress report is possible now; reject it if not. `latest`: any later round in it."""
+        last = self.round + AHEAD
+        if applied <= last and latest <= last and (not held or (len(held) == self._n and max(held) <= last)):
+            return True
+        self._reject("report does not fit")
+        return False
+
+    def _need(self, sender: int, peer: Progress, message: Nack) -> None:
+        self._inform(sender, message.view)
+        state, through = self.state, message.through
+        if state is None:
             return
-        found = self._assembly.take(piece, lambda author, round_: memory.held[author] < round_ <= present + AHEAD)
+        if not self._is_possible(message.applied, message.held, through):
+            return
+        if peer.report(message.view, message.applied, message.held, through, again=True):
+            self._has_progress = True
+        received = peer.received = {p.author: p for p in message.received}
+        has_ours = message.held[self.pid] >= through  # it wants only what other robots wrote
+        helps = has_ours or is_helper(self.pid, sender, self.round, self._n)
+        entries = self._lacked_entries(state, sender, helps)
+        if entries or has_ours:  # else our entry is still to come, and goes to all
+            self._send_round([sender], self.round, entries, received)
+
+    def _fragment(self, fragment: Fragment) -> None:
+        """Handle a fragment of an entry."""
+        state = self.state
+        if state is None or fragment.author >= self._n:
+            return
+        logs, last = state.logs, self.round + AHEAD
+        found = self._assembly.take(fragment, lambda author, round_: logs[author].held < round_ <= last)
         if isinstance(found, str):
-            self._link.reject(found)
-        elif found is not None and (refused := memory.take(found, present)) is not None:
-            self._link.reject(refused)
+            self._reject(found)
+        elif found is not None and (refused := state.append(found, self.round)) is not None:
+            self._reject(refused)
 
-    def _want(self, sender: int, want: Want) -> None:
-        view, memory = self.views.view, self.memory
-        self._tell(sender, want.view)
+    def _want(self, sender: int, want: RejoinRequest) -> None:
+        """Handle a request to join, or for a snapshot."""
+        view, state = self.views.view, self.state
+        self._inform(sender, want.view)
         if want.incarnation < 0:
             if want.view >= view.members[sender]:
-                self._peers[sender].asked = self._asked = self._tick
-        elif memory is not None and want.incarnation == view.members[sender] and memory.applied >= view.since - 1:
-            self._send(self._stores.answer(sender, want, memory.applied, memory.snapshot, self._speech.room))
+                self.peers[sender].asked_to_join = self._join_asked = self._tick
+        elif state is not None and want.incarnation == view.members[sender] and state.applied >= view.since - 1:
+            self._send(self._snapshots.answer(sender, want, state.applied, state.snapshot))
 
-    def _state(self, piece: StatePiece) -> None:
-        comeback, view = self.comeback, self.views.view
-        if comeback is None or comeback.incarnation(view) < 0 or self.views.frozen:
-            return  # a promise holds for the store too: nothing beyond what was said in it
-        found = comeback.take(piece, self._tick)
-        if found is None:
-            return
+    def _state_fragment(self, fragment: SnapshotFragment) -> None:
+        """Handle a fragment of a snapshot."""
+        rejoin, view = self.rejoin, self.views.view
+        if rejoin is None or rejoin.incarnation(view) < 0 or self.views.is_frozen:
+            return  # a promise forbids a store with more rounds than it reported
+        found = rejoin.step(fragment, self._tick)
         if isinstance(found, str):
-            self._link.reject(found)
-            return
-        memory = None
-        if fits(found.view, self._n) and found.view.number == view.number and found.applied >= view.since - 1:
-            memory = Memory.resume(self._layout, self.pid, found)
-        if memory is None:
-            self._link.reject("store does not fit")
-            return
-        if comeback.silent is not None and comeback.silent.round > memory.applied:
-            memory.close(comeback.silent.round, {}, stopped=False)
-        self._spare = self.comeback = None
-        self.memory = memory
-        self.returns += 1
+            self._reject(found)
+        elif found is not None:
+            self._restore(rejoin, found)
 
-    def _ballot(self, sender: int, message: Prepare | Promise | Accept | Decided) -> None:
-        value = getattr(message, "value", None) or getattr(message, "accepted", None)
-        if value is not None and not fits(value, self._n):
-            self._link.reject("view does not fit")
+    def _restore(self, rejoin: Rejoin, snapshot: Snapshot) -> None:
+        """Go on with the store of a snapshot."""
+        view, state = self.views.view, None
+        is_of_view = is_possible(snapshot.view, self._n) and snapshot.view.number == view.number
+        if is_of_view and snapshot.applied >= view.since - 1:
+            state = StateMachine.from_snapshot(self._layout, self.pid, snapshot)
+        if state is None:
+            self._reject("store does not fit")
             return
-        self._send(self.views.take(sender, message))
+        if rejoin.silent is not None and rejoin.silent.round > state.applied:
+            state.close(rejoin.silent.round, {}, stopped=False)
+        self._spare = self.rejoin = None
+        self._replace(state)
+        self._detector.restart_all(self.round)
+
+    def _replace(self, state: StateMachine | None) -> None:
+        """Go on with another store, or none."""
+        self.state = state
+        self._has_progress = True
+        self.store_changes += 1
+        if state is not None:
+            self.published = state.logs[self.pid].held
+
+    # Views.
+
+    def _ballot(self, sender: int, message: Ballots) -> None:
+        value = getattr(message, "value", None) or getattr(message, "accepted", None)
+        if value is not None and not is_possible(value, self._n):
+            self._reject("view does not fit")
+            return
+        self._send(self.views.step(sender, message))
         self._freeze()
 
-    def _follow(self, before: View) -> None:
-        """There is another view."""
-        view, memory, own = self.views.view, self.memory, self.views.view.members[self.pid]
-        following = view.number == before.number + 1
-        if memory is not None and following and own == before.members[self.pid]:
-            memory.adopt(view)
-        else:
-            self._change(view, before, following)
-        self._assembly.clear()
-        for pid, peer in self._peers.items():
-            peer.asked = -ASKED
-            if view.members[pid] != before.members[pid]:
-                self._news.renew(pid)
-        if self.memory is None:
-            self._said = min(self._said, view.since - 1)
-            if self.comeback is not None:
-                self.comeback.silent = None
-
-    def _change(self, view: View, before: View, following: bool) -> None:
-        """The store does not go on: it is taken back to where the view begins, or kept aside, or gone."""
-        last = self.memory or self._spare
-        kept = last.rewound(view) if last is not None and following else None
-        if self.memory is not None:
-            self.comeback = Comeback(self.pid, before.number, news=self._tick)
-        anew = kept is not None and view.members[self.pid] == view.number
-        self.returns += anew or self.memory is not None
-        self.memory, self._spare = (kept, None) if anew else (None, kept)
-        if kept is not None:
-            self._said = kept.applied
-        if self.memory is not None:
-            self.comeback = None
+    def _inform(self, sender: int, view: int) -> None:
+        """Send the present view to a robot that goes by an earlier one, at most once a tick."""
+        peer = self.peers[sender]
+        if view < self.views.view.number and peer.informed != self._tick:
+            peer.informed = self._tick
+            self._send([Send((sender,), Decided, (self.views.view,))])
 
     def _freeze(self) -> None:
-        if self.memory is not None:
-            self.memory.frozen = self.views.frozen
+        if self.state is not None:
+            self.state.is_frozen = self.views.is_frozen
 
-    def _tell(self, sender: int, view: int) -> None:
-        """Let one who is behind know the view."""
-        peer = self._peers[sender]
-        if view < self.views.view.number and peer.told != self._tick:
-            peer.told = self._tick
-            self._speech.say([sender], Decided, self.views.view)
+    def promise_report(self) -> Report:
+        """Return what this robot promises with. From now on it counts as reported."""
+        if self.state is not None:
+            self.acknowledged = self.state.applied
+        return Report(self.views.view.number, self.acknowledged, self.state is not None or self._spare is not None)
+
+    def _holds_all(self, value: View) -> bool:
+        """Return whether this robot's vote helps a view to last.
+
+        It does not if the robot would lose its store by the view, or lacks entries from before it, or has no store and
+        is no member of it. Else the entries that such a view begins with could be held by one robot alone.
+        """
+        state, last = self.state, value.since - 1
+        if state is None:
+            return value.members[self.pid] >= 0
+        stays = value.number == state.view.number + 1 and value.members[self.pid] >= 0
+        return stays and (state.applied >= last or not state.missing(last))
+
+    def _adopted(self, before: View) -> None:
+        """Go by the view that was decided."""
+        view, state, own = self.views.view, self.state, self.views.view.members[self.pid]
+        self._has_progress = True
+        is_next = view.number == before.number + 1
+        if state is not None and is_next and own == before.members[self.pid]:
+            state.adopt(view)
+        else:
+            self._leave(before, is_next)
+        self._assembly.clear()
+        for pid, peer in self.peers.items():
+            peer.asked_to_join = -JOIN_TICKS
+            if view.members[pid] != before.members[pid]:
+                peer.reset()
+                self._detector.restart(pid, self.round)
+        if self.state is None:
+            self.acknowledged = min(self.acknowledged, view.since - 1)
+            if self.rejoin is not None:
+                self.rejoin.silent = None
+
+    def _leave(self, before: View, is_next: bool) -> None:
+        """Take the store back to the beginning of the view, keep it aside, or lose it: it does not go on."""
+        view, last = self.views.view, self.state or self._spare
+        kept = last if last is not None and is_next and last.rewind(view) else None
+        if self.state is not None:
+            self.rejoin = Rejoin(self.pid, before.number, arrived=self._tick)
+        if kept is not None:
+            self.acknowledged = kept.applied
+        if kept is not None and view.members[self.pid] == view.number:
+            self._spare = self.rejoin = None
+            self._replace(kept)
+            return
+        self._spare = kept
+        if self.state is not None:
+            self._replace(None)

@@ -9,11 +9,11 @@ import msgspec
 import pytest
 
 from koordgen.build.bundle.budget import (
-    MOST_CLOSING,
+    MOST_ENTRY,
     MOST_SHARED,
     check_budget,
     most_bytes,
-    most_closing,
+    most_entry,
     most_init,
     most_store,
     overhead,
@@ -73,7 +73,7 @@ def test_the_wire_format_is_the_hashed_one() -> None:
 @pytest.mark.parametrize("n_sys", [1, 2, 5, 16, 60])
 def test_both_give_the_same_verdict(n_sys: int) -> None:
     others = "  int i\n  bool b\n  float f\n  string s max 30000\n"
-    room = most_closing(n_sys) - 38 - sum(5 + most_bytes(v.type) for v in program(others).shared) - 5
+    room = most_entry(n_sys) - 38 - sum(5 + most_bytes(v.type) for v in program(others).shared) - 5
     capacity = room - (5 if room - 5 >= 1 << 16 else 3)
     for extra in (-1, 0, 1):
         made = program(f"{others}  string t max {capacity + extra}\n")
@@ -83,7 +83,7 @@ def test_both_give_the_same_verdict(n_sys: int) -> None:
 
 @pytest.mark.parametrize("n_sys", [2, 5, 15, 16, 60, 90, 128])
 def test_both_give_the_same_verdict_on_the_whole_store(n_sys: int) -> None:
-    """Closings are short enough here; what a robot that comes back is given is not, by one character."""
+    """Entries are short enough here; what a robot that comes back is given is not, by one character."""
     source = "  int i\n  bool b\nallread:\n  float f[N_SYS]\n  string t[N_SYS] max MAX\n"
     large = program(source.replace("MAX", "130500" if n_sys < 60 else "9000"))
     (found,) = check_budget(large, n_sys)
@@ -109,8 +109,8 @@ def test_no_store_is_longer_than_its_bound(n_sys: int) -> None:
     values = {"i": -(2**63), "s": "x" * 300, "p": (Point(0.1, 0.2, 0.3),) * n_sys}
     top = 2**53
     view = wire.View(top, top, (top,) * n_sys)
-    state = wire.State(view, top, bound.pack(values), (top,) * n_sys, (2**32 - 1,) * n_sys)
-    assert len(wire.encoder.encode(state)) == bound.state_bytes == store_bytes(shared.shared, n_sys)
+    state = wire.Snapshot(view, top, bound.pack(values), (top,) * n_sys, (2**32 - 1,) * n_sys)
+    assert len(wire.encoder.encode(state)) == bound.snapshot_bytes == store_bytes(shared.shared, n_sys)
 
 
 def init_writing(characters: int, written: str) -> Program:
@@ -153,12 +153,12 @@ def test_a_list_that_init_spells_out_takes_what_it_holds() -> None:
 
 
 def test_limits_are_the_layouts() -> None:
-    assert (MOST_CLOSING, MOST_SHARED) == (layout.MOST_CLOSING, layout.MOST_SHARED)
+    assert (MOST_ENTRY, MOST_SHARED) == (layout.MOST_ENTRY, layout.MOST_SHARED)
     for n in range(1, wire.MAX_ROBOTS + 1):
-        assert (most_closing(n), most_store(n)) == (layout.most_closing(n), layout.most_state(n))
+        assert (most_entry(n), most_store(n)) == (layout.most_entry(n), layout.most_snapshot(n))
 
 
-def test_more_shared_variables_than_a_closing_may_write() -> None:
+def test_more_shared_variables_than_a_entry_may_write() -> None:
     for count in (256, 257):
         made = program("".join(f"  bool b{i}\n" for i in range(count)))
         assert (not check_budget(made, 2)) == robots_verdict(generated(made), 2) == (count == 256)

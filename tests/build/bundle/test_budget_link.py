@@ -141,7 +141,7 @@ def test_rates_are_told_in_digits(delta: float) -> None:
     assert needed <= rate <= needed * 1.01
 
 
-def test_a_closing_in_pieces_is_told() -> None:
+def test_a_entry_in_fragments_is_told() -> None:
     (found,) = check_link(writing(3000), 2, 0.1, Link())
     assert (found.code, found.severity) == ("B009", "warning")
     assert "up to 3079 bytes and go in 5 datagrams" in found.message

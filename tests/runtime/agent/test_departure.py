@@ -1,5 +1,4 @@
-"""What an agent does before a round's closing leaves, what it leaves for later, and what is there when it dies between
-the two."""
+"""Order of an agent's work around the departure of an entry: what comes before it, and what comes after it."""
 
 from __future__ import annotations
 
@@ -13,9 +12,10 @@ from benchmarks.fixtures.fleet import KEY, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.agent.store import Acceptor, Locals
 from koordgen.runtime.net.network import Conditions
-from koordgen.runtime.net.wire import Round, decode
+from koordgen.runtime.net.wire import RoundMessage, decode
 from koordgen.runtime.program.program import Event
 from koordgen.runtime.values.points import Point
+from tests.runtime.replication.agents import rounds_of, snapshot_of
 
 
 def count(s: State) -> None:
@@ -28,13 +28,13 @@ CALM = Conditions(delay=0.001)
 
 
 def closed(datagram: bytes, pid: int) -> list[int]:
-    """The rounds that a robot closes by a datagram."""
+    """Return the rounds that a robot closes by a datagram."""
     message = decode(datagram, KEY)
-    return [c.round for c in message.closings if c.author == pid] if isinstance(message, Round) else []
+    return [c.round for c in message.entries if c.author == pid] if isinstance(message, RoundMessage) else []
 
 
 def listen(fleet: Fleet, pid: int) -> list[tuple[str, int]]:
-    """What a robot does, in order: keeps its variables, keeps its word, sends a closing, tells of a round."""
+    """Return what a robot does, in order: it persists its variables or a report, sends an entry, traces a round."""
     happened: list[tuple[str, int]] = []
     transport, kept = fleet.robots[pid].agent._transport, fleet.kept[pid]
     send, write, observe = transport.send, kept.write, fleet.robots[pid].agent._journal.observe
@@ -46,9 +46,9 @@ def listen(fleet: Fleet, pid: int) -> list[tuple[str, int]]:
     def writes(record: Any) -> bool:
         match record:
             case Locals():
-                happened.append(("kept", record.round))
+                happened.append(("persisted variables", record.round))
             case Acceptor():
-                happened.append(("said", record.applied))
+                happened.append(("persisted report", record.applied))
         return write(record)
 
     def observes(record: Any, counters: Any) -> None:
@@ -60,19 +60,19 @@ def listen(fleet: Fleet, pid: int) -> list[tuple[str, int]]:
     return happened
 
 
-def test_a_life_is_kept_before_its_closing_leaves_and_all_else_comes_after() -> None:
+def test_a_life_is_persisted_before_its_entry_leaves_and_all_other_work_comes_later() -> None:
     fleet = Fleet(n=3, program=COUNTING, conditions=CALM).boot_all()
     happened = listen(fleet, 1)
     fleet.run_rounds(40)
     first = happened.index(("left", 10))
     for round_ in range(11, 39):
-        kept, left = happened.index(("kept", round_), first), happened.index(("left", round_), first)
+        kept, left = happened.index(("persisted variables", round_), first), happened.index(("left", round_), first)
         assert happened[kept + 1] == ("left", round_), "nothing is done between the two"
         assert kept > first and happened[kept - 1][0] == "told", "no record waits when the next round begins"
         before = happened[first:kept]
         assert ("told", round_ - 2) in before and ("told", round_) not in happened[:left]
-        said = happened.index(("said", round_ - 2))
-        assert said < happened.index(("told", round_ - 2)), "the own word that makes it certain is kept before"
+        said = happened.index(("persisted report", round_ - 2))
+        assert said < happened.index(("told", round_ - 2)), "the report that commits it is persisted before"
         first = left
     told = [round_ for what, round_ in happened if what == "told"]
     assert told == list(range(told[0], told[-1] + 1)), "each once, in order"
@@ -80,7 +80,7 @@ def test_a_life_is_kept_before_its_closing_leaves_and_all_else_comes_after() -> 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_an_event_commanded_is_there_before_the_next_event(seed: int) -> None:
-    """Where words come late, outputs wait beyond their round."""
+    """If reports arrive late, outputs wait beyond their round."""
     fleet = Fleet(n=5, seed=seed, conditions=Conditions(loss=0.2, delay=0.02, jitter=0.06)).boot_all()
     fleet.run_told(60)
     for pid in (1, 2, 3):
@@ -96,21 +96,21 @@ def test_what_an_event_commanded_is_there_before_the_next_event(seed: int) -> No
         assert seen > 20
 
 
-def test_the_own_closing_leaves_before_what_has_arrived_is_looked_at() -> None:
-    """Then who finds that all others have closed the round, too, waits for the next one, not to ask for closings."""
+def test_the_own_entry_leaves_before_messages_that_have_arrived_are_received() -> None:
+    """A robot that then finds the entries of all others waits for the next round, and requests nothing."""
     fleet = Fleet(n=3, program=COUNTING, conditions=CALM).boot_all()
     fleet.run_rounds(20)
-    agent, rounds = fleet.robots[1].agent, fleet.robots[1].agent._rounds
-    assert rounds is not None
-    fleet.run(1.0, until=lambda: rounds.calm)
+    rounds, state = rounds_of(fleet.robots[1]), snapshot_of(fleet.robots[1])
+    assert rounds is not None and state is not None
+    fleet.run(1.0, until=lambda: rounds.calm and state.applied == rounds.round)
     robot = fleet.robots.pop(1)
-    fleet.run(robot.clock.true(rounds._tick(1.0)) + 0.01 - fleet.time.time)  # it sleeps until all others have closed
-    agent._next_body = agent._joining._next = 1e9
-    before = rounds.round
-    wake = agent.poll(robot.clock.now())
-    memory = rounds._replica.memory
-    assert rounds.round == before + 1 and memory is not None
-    assert memory.held[1] == rounds.round and memory.applied == before, "nothing was looked at"
-    assert wake <= rounds._tick(1.0)
-    wake = agent.poll(robot.clock.now())
-    assert memory.applied == rounds.round and wake == pytest.approx(rounds._tick(1.0))
+    due = rounds.poll(robot.clock.now(), robot.platform.sense, None)
+    fleet.run(robot.clock.true(due) + 0.01 - fleet.time.time)  # it sleeps until all others have closed the next round
+    before, asked = rounds.round, rounds.counters.asked
+    robot.agent.poll(robot.clock.now())
+    assert rounds.round == before + 1
+    assert state.held[1] == rounds.round and state.applied == before, "nothing was received yet"
+    robot.agent.poll(robot.clock.now())
+    assert state.applied == rounds.round
+    wake = rounds.poll(robot.clock.now(), robot.platform.sense, None)
+    assert wake == pytest.approx(due + fleet.delta, abs=1e-4) and rounds.counters.asked == asked

@@ -21,6 +21,7 @@ from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed
 from tests.build.emit.generated import load
+from tests.runtime.replication.agents import locals_of
 from tests.runtime.replication.reference import check_visibility
 
 
@@ -66,7 +67,7 @@ def test_a_fault_discards_the_event_whole_and_holds(effect: Callable[[State], No
     cleo = fleet.robots[2]
     assert all(r.effects is None and r.fault is not None for r in cleo.records)
     assert cleo.platform.held and not cleo.platform.commands
-    assert cleo.agent._runner.locals == {"count": 0}
+    assert locals_of(cleo) == {"count": 0}
     assert len([line for line in cleo.lines if reason in line]) == 1  # once, not once a round
     alice = fleet.robots[0].records[-1].frame
     assert alice is not None and alice.shared["last"] == 4  # as after init
@@ -92,7 +93,7 @@ def test_the_robot_goes_on_when_the_fault_is_over() -> None:
 
     fleet = Fleet(program=program(sometimes)).boot_all()
     fleet.run_rounds(3)
-    assert fleet.robots[0].agent._runner.locals["count"] > 0
+    assert locals_of(fleet.robots[0])["count"] > 0
     assert not fleet.robots[0].platform.held
 
 
@@ -107,7 +108,7 @@ def test_an_event_beyond_the_publish_deadline_never_happened() -> None:
     fleets[0].run_rounds(6)
     bert = fleets[0].robots[1]
     assert bert.agent.counters()["discarded"] >= 5
-    assert bert.agent._runner.locals == {"count": 0} and not bert.platform.commands and bert.platform.held
+    assert locals_of(bert) == {"count": 0} and not bert.platform.commands and bert.platform.held
     assert "lineform.koord:21: not finished by the round's publish deadline" in "".join(bert.lines)
     check_visibility(fleets[0])
 
@@ -290,7 +291,7 @@ def test_a_local_int_that_leaves_64_bits_is_a_fault() -> None:
     fleet = Fleet(program=program(squares, lambda s: s.pid == 2)).boot_all()
     fleet.run_rounds(9)
     cleo = fleet.robots[2]
-    assert cleo.agent._runner.locals == {"count": 3**32}
+    assert locals_of(cleo) == {"count": 3**32}
     assert "count would become an int beyond 64 bits" in str(cleo.records[-1].fault)
 
 
@@ -318,7 +319,7 @@ def test_a_robot_keeps_no_nan_and_no_infinity(guard: str, effect: str, rounds: i
     fleet = Fleet(n=2, program=load(GROWS.format(guard=guard, effect=effect))).boot_all()
     fleet.run_rounds(12)
     for robot in fleet.robots.values():
-        assert robot.agent._runner.locals == {"f": pytest.approx(1e300 * 10**rounds), "on": False}
+        assert locals_of(robot) == {"f": pytest.approx(1e300 * 10**rounds), "on": False}
         assert str(robot.records[-1].fault) == f"a.koord:{line}: {reason}"
 
 

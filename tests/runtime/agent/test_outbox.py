@@ -1,31 +1,26 @@
-"""What waits until it is certain: order, commits, lives to go back to, bounds."""
+"""Outbox: records that wait until they are committed: order, transactions, lives to go back to, bounds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, cast
 
 from koordgen.runtime.agent.outbox import MOST_WAITING, Outbox, has_outputs
 from koordgen.runtime.program.program import Effects, Life
-from koordgen.runtime.replication.memory import Memory
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 
 
 @dataclass
 class Store:
-    """As much of a Memory as an Outbox looks at."""
+    """The part of a StateMachine that an Outbox looks at."""
 
     applied: int = 0
     won: int = 0
-    sure: int = 0
-    asked: list[int] = field(default_factory=list)
+    committed: int = 0
 
-    def stable(self, round_: int) -> bool:
-        self.asked.append(round_)
-        return round_ <= self.sure
-
-    def as_memory(self) -> Memory:
-        return cast(Memory, self)
+    def as_state(self) -> StateMachine:
+        return cast(StateMachine, self)
 
 
 def life(round_: int) -> Life:
@@ -51,62 +46,62 @@ def box(*records: Record) -> Outbox:
     return outbox
 
 
-def test_what_leaves_a_robot_are_commands_lines_and_its_stop() -> None:
+def test_outputs_are_commands_lines_and_a_stop() -> None:
     assert not has_outputs(None) and not has_outputs(Effects({"a": 1}, {"b": 2}, {}, False))
     assert has_outputs(Effects({}, {}, {"m": 1}, False)) and has_outputs(Effects({}, {}, {}, True))
     assert has_outputs(Effects({}, {}, {}, False, (("Log.stdout", "hello"),)))
 
 
-def test_records_become_certain_in_order() -> None:
+def test_records_are_returned_in_order_once_they_are_committed() -> None:
     outbox, store = box(nothing(1), did(2, m=1), nothing(3), did(4)), Store(applied=4)
-    assert rounds(outbox.ready(store.as_memory())) == [1]
+    assert rounds(outbox.ready(store.as_state())) == [1]
     assert outbox.first == 2
-    store.sure = 3
-    assert rounds(outbox.ready(store.as_memory())) == [2, 3]
+    store.committed = 3
+    assert rounds(outbox.ready(store.as_state())) == [2, 3]
     assert [outbox.first] == [None], "the event of round 4 has no outputs"
-    store.sure = 4
-    assert rounds(outbox.ready(store.as_memory())) == [4] and outbox.ready(store.as_memory()) == []
+    store.committed = 4
+    assert rounds(outbox.ready(store.as_state())) == [4] and outbox.ready(store.as_state()) == []
 
 
-def test_without_a_store_only_what_came_before_the_first_event_is_certain() -> None:
+def test_without_a_store_only_records_before_the_first_event_are_certain() -> None:
     outbox = box(nothing(1), did(2), nothing(3))
     assert rounds(outbox.ready(None)) == [1] and outbox.ready(None) == []
 
 
-def test_a_commit_that_won_is_an_event_once_it_is_stable() -> None:
+def test_a_transaction_that_won_is_an_event_once_its_round_is_committed() -> None:
     outbox, store = Outbox(life(0)), Store(applied=4)
     outbox.add(did(5, m=1), 0, life(5))
-    assert [outbox.undecided, outbox.decide(store.as_memory()), outbox.life] == [True, None, life(0)]
-    assert outbox.ready(store.as_memory()) == []
+    assert [outbox.undecided, outbox.decide(store.as_state()), outbox.life] == [True, None, life(0)]
+    assert outbox.ready(store.as_state()) == []
     store.applied = store.won = 5
-    assert [outbox.decide(store.as_memory()), outbox.life, outbox.undecided] == [True, life(5), False]
-    assert outbox.decide(store.as_memory()) is None
-    assert outbox.ready(store.as_memory()) == [] and outbox.first == 5
-    store.sure = 5
-    assert outbox.ready(store.as_memory()) == [did(5, m=1)] and outbox.lives == [life(5)]
+    assert [outbox.decide(store.as_state()), outbox.life, outbox.undecided] == [True, life(5), False]
+    assert outbox.decide(store.as_state()) is None
+    assert outbox.ready(store.as_state()) == [] and outbox.first == 5
+    store.committed = 5
+    assert outbox.ready(store.as_state()) == [did(5, m=1)] and outbox.lives == [life(5)]
 
 
-def test_a_commit_that_lost_never_happened() -> None:
+def test_a_transaction_that_lost_contention_is_no_event() -> None:
     outbox, store = Outbox(life(0)), Store(applied=5, won=3)
     outbox.add(did(5, m=1), 0, life(5))
-    assert outbox.decide(store.as_memory()) is False and outbox.first is None
-    [record] = outbox.ready(store.as_memory())
+    assert outbox.decide(store.as_state()) is False and outbox.first is None
+    [record] = outbox.ready(store.as_state())
     assert (record.round, record.event, record.effects, record.frame) == (5, None, None, None)
     assert record.skipped == "lost contention: Event, to another robot's transaction"
     assert outbox.lives == [life(0)]
 
 
-def test_lives_are_kept_as_far_as_they_may_have_to_be_gone_back_to() -> None:
-    outbox, store = box(did(1), did(2), nothing(3), did(4)), Store(applied=4, sure=1)
+def test_lives_are_kept_as_long_as_the_robot_may_have_to_go_back_to_them() -> None:
+    outbox, store = box(did(1), did(2), nothing(3), did(4)), Store(applied=4, committed=1)
     assert outbox.lives == [life(0), life(1), life(2), life(4)]
-    outbox.ready(store.as_memory())
+    outbox.ready(store.as_state())
     assert outbox.lives == [life(1), life(2), life(4)]
-    store.sure = 4
-    outbox.ready(store.as_memory())
+    store.committed = 4
+    outbox.ready(store.as_state())
     assert outbox.lives == [life(4)]
 
 
-def test_after_coming_back_what_the_others_did_not_count_never_happened() -> None:
+def test_events_that_the_others_did_not_count_are_no_events_after_a_rejoin() -> None:
     outbox = box(did(1, m=1), nothing(2), did(3, m=3), did(4))
     outbox.add(did(5), 0, life(5))
     found, records = outbox.settle(3)
@@ -122,11 +117,11 @@ def test_after_coming_back_what_the_others_did_not_count_never_happened() -> Non
     assert outbox.settle(3) == (life(3), [])
 
 
-def test_a_life_that_is_not_known_any_more_is_told() -> None:
+def test_a_life_that_is_not_known_any_more_is_none() -> None:
     assert box(did(1)).settle(7)[0] is None
 
 
-def test_a_commit_of_which_there_was_no_news_may_have_won() -> None:
+def test_a_transaction_whose_outcome_is_not_known_may_have_won() -> None:
     """It was applied by the others before they went on alone, and `acted` names its round."""
     outbox = box(did(1))
     outbox.add(did(5, m=1), 0, life(5))
@@ -134,8 +129,8 @@ def test_a_commit_of_which_there_was_no_news_may_have_won() -> None:
     assert found == life(5) and [(r.round, r.event) for r in records] == [(1, "Event"), (5, "Event")]
 
 
-def test_rounds_without_an_event_pile_up_only_so_far() -> None:
+def test_records_without_an_event_wait_only_up_to_a_bound() -> None:
     outbox = box(did(1, m=1), *(nothing(r) for r in range(2, 1000)))
     outbox.add(did(1000), life=life(1000))
-    told = rounds(outbox.ready(Store(applied=1000, sure=1000).as_memory()))
+    told = rounds(outbox.ready(Store(applied=1000, committed=1000).as_state()))
     assert told == [*range(1, MOST_WAITING + 1), 1000]

@@ -23,7 +23,7 @@ from koordgen.runtime.values.bounds import Blob, Fixed, Many, Text
 from koordgen.runtime.values.points import Opaque, Point
 from tests.disk import small_disk
 
-MISSION = Mission(b"epoch---", 123_456_789, b"closing of round 0")
+MISSION = Mission(b"epoch---", 123_456_789, b"entry of round 0")
 ACCEPTOR = Acceptor(b"view", 7, 2, 3, -1, b"")
 
 

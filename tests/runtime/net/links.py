@@ -14,8 +14,7 @@ from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.sessions import PeerSession
-from koordgen.runtime.net.speech import Fields
-from koordgen.runtime.net.wire import Closing, Head, Hello, Message, Round, Write
+from koordgen.runtime.net.wire import Entry, Head, Hello, Message, RoundMessage, Write
 from koordgen.runtime.values.clock import SimulatedClock
 
 N, OWN = 5, 1
@@ -23,7 +22,7 @@ APPLICATION = 300
 EPOCH, BOOT = b"mission1", b"own boot"
 BOOTS = {pid: b"boot of%d" % pid for pid in (0, 2, 3)}  # robot 4 was not heard yet
 ADOPTED = 70  # sequence number of the Hello that each was adopted with
-WORD: Fields = (3, 31, 30, 29, False, ())
+WORD: tuple[int, int, int, int, bool, tuple[int, ...]] = (3, 31, 30, 29, False, ())
 
 
 def head(pid: int = 2, sequence: int = ADOPTED + 1, **fields: Any) -> Head:
@@ -34,8 +33,8 @@ def head(pid: int = 2, sequence: int = ADOPTED + 1, **fields: Any) -> Head:
     return msgspec.structs.replace(made, **fields)
 
 
-def word(head: Head, round_: int = 30, closings: Sequence[Closing] = (), **fields: Any) -> Round:
-    made = Round(head, 3, round_, round_ - 1, round_ - 2, False, (), tuple(closings))
+def word(head: Head, round_: int = 30, entries: Sequence[Entry] = (), **fields: Any) -> RoundMessage:
+    made = RoundMessage(head, 3, round_, round_ - 1, round_ - 2, False, (), tuple(entries))
     return msgspec.structs.replace(made, **fields)
 
 
@@ -47,10 +46,10 @@ def sealed(message: Message) -> bytes:
     return wire.encode(message, KEY)
 
 
-def closing_of(round_: int, length: int = 5) -> Closing:
-    """A closing of our own whose one value has so many bytes."""
+def entry_of(round_: int, length: int = 5) -> Entry:
+    """An entry of our own whose one value has so many bytes."""
     writes = (Write(7, msgspec.Raw(b"\xc5" + length.to_bytes(2, "big") + bytes(length))),)
-    return Closing(OWN, 4, round_, round_, writes=writes)
+    return Entry(OWN, 4, round_, round_, writes=writes)
 
 
 class Learning(FleetClock):

@@ -22,23 +22,24 @@ from koordgen.runtime.net.wire import (
     WIRE_FORMAT,
     Accept,
     Accepted,
-    Closing,
     Decided,
+    Entry,
+    Fragment,
     Hello,
     Message,
-    Need,
-    Piece,
+    Nack,
     Promise,
-    Round,
-    StatePiece,
+    RejoinRequest,
+    RoundMessage,
+    SnapshotFragment,
     View,
-    Want,
     Write,
 )
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.values.points import Point
 from tests.runtime.net.wiretap import CLEO, Wiretap, snapshot
+from tests.runtime.replication.agents import snapshot_of
 
 TOP = 2**53
 
@@ -141,8 +142,8 @@ def test_a_text_that_is_not_unicode_is_malformed(tap: Wiretap, tag: int) -> None
 def test_a_text_variable_of_a_peer_that_is_not_unicode_is_refused() -> None:
     text = Variable("text", "allwrite", str, Fixed(99), lambda: "")
     tap = Wiretap(replace(PROGRAM, shared=(*PROGRAM.shared, text)))
-    bad = (closing(writes=(Write(2, msgspec.Raw(NO_TEXT)),)),)
-    assert tap.play(tap.forged(lambda m: msgspec.structs.replace(m, closings=bad))) == {"closing does not fit": 1}
+    bad = (entry(writes=(Write(2, msgspec.Raw(NO_TEXT)),)),)
+    assert tap.play(tap.forged(lambda m: msgspec.structs.replace(m, entries=bad))) == {"entry does not fit": 1}
     after = snapshot(tap.victim)
     assert after[0] == tap.before[0] and after[4] == tap.before[4]
 
@@ -157,8 +158,8 @@ def test_a_text_variable_of_a_peer_that_is_not_unicode_is_refused() -> None:
         View(1, 0, (0, 0, 0)),
     ],
 )
-def test_views_that_cannot_be_are_refused(value: View) -> None:
-    words: list[Callable[[Round], Message]] = [
+def test_impossible_views_are_refused(value: View) -> None:
+    words: list[Callable[[RoundMessage], Message]] = [
         lambda m: Decided(m.head, value),
         lambda m: Accept(m.head, 200, value),
         lambda m: Promise(m.head, 1, 128, 0, 20, True, 100, value),
@@ -174,15 +175,15 @@ def test_views_that_cannot_be_are_refused(value: View) -> None:
     [
         lambda m: Promise(m.head, 1, 128, 0, 20, True, 0, None),
         lambda m: Accepted(m.head, 1, 128),
-        lambda m: Want(m.head, 0, 0, 20, b"", b""),
-        lambda m: Want(m.head, 0, 7, 20, bytes(8), bytes(32)),
-        lambda m: StatePiece(m.head, 20, bytes(8), 0, 1, b"x"),
-        lambda m: Piece(m.head, 127, 0, 21, bytes(8), 0, 1, b"x"),
-        lambda m: Piece(m.head, 0, 0, 21, bytes(8), 0, 1, b"x"),
-        lambda m: Piece(m.head, CLEO, 0, TOP, bytes(8), 0, 1, b"x"),
+        lambda m: RejoinRequest(m.head, 0, 0, 20, b"", b""),
+        lambda m: RejoinRequest(m.head, 0, 7, 20, bytes(8), bytes(32)),
+        lambda m: SnapshotFragment(m.head, 20, bytes(8), 0, 1, b"x"),
+        lambda m: Fragment(m.head, 127, 0, 21, bytes(8), 0, 1, b"x"),
+        lambda m: Fragment(m.head, 0, 0, 21, bytes(8), 0, 1, b"x"),
+        lambda m: Fragment(m.head, CLEO, 0, TOP, bytes(8), 0, 1, b"x"),
     ],
 )
-def test_words_that_nobody_asked_for_bind_to_nothing(change: Callable[[Round], Message]) -> None:
+def test_messages_that_no_robot_asked_for_bind_to_nothing(change: Callable[[RoundMessage], Message]) -> None:
     tap = Wiretap()
     tap.play(tap.forged(change))
     after = snapshot(tap.victim)
@@ -199,8 +200,8 @@ def test_deep_nesting_does_not_exhaust_the_stack(tap: Wiretap) -> None:
     assert tap.play(deeply_nested()) == {"malformed": 1}
 
 
-def closing(author: int = CLEO, first: int = 21, round_: int = 21, writes: tuple[Write, ...] = ()) -> Closing:
-    return Closing(author, 0, first, round_, writes=writes)
+def entry(author: int = CLEO, first: int = 21, round_: int = 21, writes: tuple[Write, ...] = ()) -> Entry:
+    return Entry(author, 0, first, round_, writes=writes)
 
 
 def write(index: int, value: Any) -> tuple[Write, ...]:
@@ -210,30 +211,30 @@ def write(index: int, value: Any) -> tuple[Write, ...]:
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (closing(author=3), "closing does not fit"),
-        (closing(author=127), "closing does not fit"),
-        (closing(first=0), "closing does not fit"),
-        (closing(first=22), "closing does not fit"),
-        (closing(round_=10_000), "closing too far ahead"),
-        (closing(first=TOP, round_=TOP), "closing too far ahead"),
-        (closing(author=0, first=21, round_=22), "closing of ours that we did not write"),
-        (closing(first=20, writes=write(1, 5)), "closing does not fit"),
-        (closing(writes=write(2, 5)), "closing does not fit"),
-        (closing(writes=write(1, 5) + write(1, 6)), "closing does not fit"),
-        (closing(writes=write(1, 5) + write(0, Point())), "closing does not fit"),
-        (closing(writes=write(1, "5")), "closing does not fit"),
-        (closing(writes=write(1, 5.5)), "closing does not fit"),
-        (closing(writes=write(1, True)), "closing does not fit"),
-        (closing(writes=write(1, 2**63)), "closing does not fit"),
-        (closing(writes=write(0, [1.0, 2.0, 3.0, 4.0])), "closing does not fit"),
-        (closing(writes=write(0, [1.0, None, 3.0])), "closing does not fit"),
-        (closing(writes=write(0, [1.0, math.nan, 3.0])), "closing does not fit"),
-        (closing(writes=write(0, [1.0, 2.0, math.inf])), "closing does not fit"),
+        (entry(author=3), "entry does not fit"),
+        (entry(author=127), "entry does not fit"),
+        (entry(first=0), "entry does not fit"),
+        (entry(first=22), "entry does not fit"),
+        (entry(round_=10_000), "entry too far ahead"),
+        (entry(first=TOP, round_=TOP), "entry too far ahead"),
+        (entry(author=0, first=21, round_=22), "entry of ours that we did not write"),
+        (entry(first=20, writes=write(1, 5)), "entry does not fit"),
+        (entry(writes=write(2, 5)), "entry does not fit"),
+        (entry(writes=write(1, 5) + write(1, 6)), "entry does not fit"),
+        (entry(writes=write(1, 5) + write(0, Point())), "entry does not fit"),
+        (entry(writes=write(1, "5")), "entry does not fit"),
+        (entry(writes=write(1, 5.5)), "entry does not fit"),
+        (entry(writes=write(1, True)), "entry does not fit"),
+        (entry(writes=write(1, 2**63)), "entry does not fit"),
+        (entry(writes=write(0, [1.0, 2.0, 3.0, 4.0])), "entry does not fit"),
+        (entry(writes=write(0, [1.0, None, 3.0])), "entry does not fit"),
+        (entry(writes=write(0, [1.0, math.nan, 3.0])), "entry does not fit"),
+        (entry(writes=write(0, [1.0, 2.0, math.inf])), "entry does not fit"),
     ],
 )
-def test_closings_that_do_not_fit_are_refused(bad: Closing, reason: str) -> None:
+def test_entries_that_do_not_fit_are_refused(bad: Entry, reason: str) -> None:
     tap = Wiretap()
-    dropped = tap.play(tap.forged(lambda m: msgspec.structs.replace(m, closings=(bad,))))
+    dropped = tap.play(tap.forged(lambda m: msgspec.structs.replace(m, entries=(bad,))))
     assert dropped == {reason: 1}
     after = snapshot(tap.victim)
     assert after[0] == tap.before[0] and after[4] == tap.before[4]
@@ -248,15 +249,15 @@ def test_closings_that_do_not_fit_are_refused(bad: Closing, reason: str) -> None
         lambda m: msgspec.structs.replace(m, settled=TOP),
         lambda m: msgspec.structs.replace(m, round=TOP),
         lambda m: msgspec.structs.replace(m, applied=TOP),
-        lambda m: Need(m.head, 0, TOP, 0, (0, 0, 0), ()),
-        lambda m: Need(m.head, 0, 0, TOP, (0, 0, 0), ()),
-        lambda m: Need(m.head, 0, 0, 0, (0, 0), ()),
+        lambda m: Nack(m.head, 0, TOP, 0, (0, 0, 0), ()),
+        lambda m: Nack(m.head, 0, 0, TOP, (0, 0, 0), ()),
+        lambda m: Nack(m.head, 0, 0, 0, (0, 0), ()),
     ],
 )
-def test_words_that_cannot_be_are_refused(change: Callable[[Round], Message]) -> None:
+def test_impossible_reports_are_refused(change: Callable[[RoundMessage], Message]) -> None:
     tap = Wiretap()
     sent = tap.fleet.network.sent
-    assert tap.play(tap.forged(change)) == {"word does not fit": 1}
+    assert tap.play(tap.forged(change)) == {"report does not fit": 1}
     assert snapshot(tap.victim)[:5] == tap.before[:5]
     assert tap.fleet.network.sent == sent  # nor is it answered
 
@@ -275,7 +276,7 @@ def test_words_that_cannot_be_are_refused(change: Callable[[Round], Message]) ->
     ],
 )
 def test_foreign_heads_are_dropped(tap: Wiretap, field: str, value: Any, reason: str) -> None:
-    def change(m: Round) -> Message:
+    def change(m: RoundMessage) -> Message:
         return msgspec.structs.replace(m, head=msgspec.structs.replace(m.head, **{field: value}))
 
     assert tap.play(tap.forged(change), tap.forged(change)) == {reason: 2}
@@ -283,18 +284,17 @@ def test_foreign_heads_are_dropped(tap: Wiretap, field: str, value: Any, reason:
     assert len(said) == (1 if reason in ("another program", "another interface") else 0)
 
 
-def test_a_closing_of_a_flood_is_kept_only_up_to_a_bound() -> None:
+def test_entries_of_a_flood_are_kept_only_up_to_a_bound() -> None:
     tap = Wiretap()
     link = tap.victim.agent._link
     for sequence in range(3000):
 
-        def change(m: Round, sequence: int = sequence) -> Message:
+        def change(m: RoundMessage, sequence: int = sequence) -> Message:
             head = msgspec.structs.replace(m.head, sequence=m.head.sequence + sequence)
-            return msgspec.structs.replace(m, head=head, closings=(closing(first=22 + sequence % 7, round_=28),))
+            return msgspec.structs.replace(m, head=head, entries=(entry(first=22 + sequence % 7, round_=28),))
 
         tap.play(tap.forged(change))
-    rounds = tap.victim.agent._rounds
-    assert rounds is not None
-    assert rounds._replica.memory is not None
-    assert sum(len(log.later) + len(log.entries) for log in rounds._replica.memory._logs) < 100
+    state = snapshot_of(tap.victim)
+    assert state is not None
+    assert sum(len(log.later) + len(log.kept) for log in state.logs) < 100
     assert len(link.rejected) < 20

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.net.layout import MOST_CLOSING, MOST_SHARED, Layout, TooLarge, Unpatched, most_closing
+from koordgen.runtime.net.layout import MOST_ENTRY, MOST_SHARED, Layout, TooLarge, Unpatched, most_entry
 from koordgen.runtime.net.patch import difference
-from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write, encoder, overhead
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write, encoder, overhead
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Cells, Distinct, Fixed, Many, Text
 from koordgen.runtime.values.gridmap import GridMap, area, mark_occupied
@@ -35,18 +35,18 @@ def store(layout: Layout, **values: Any) -> dict[str, Any]:
     return {**layout.initial(), **values}
 
 
-def closing(*writes: Write, **changes: Any) -> Closing:
-    return Closing(**{"author": 1, "incarnation": 0, "first": 4, "round": 4, "writes": writes, **changes})
+def entry(*writes: Write, **changes: Any) -> Entry:
+    return Entry(**{"author": 1, "incarnation": 0, "first": 4, "round": 4, "writes": writes, **changes})
 
 
-def received(closing: Closing) -> Closing:
+def received(entry: Entry) -> Entry:
     """As it comes over the network."""
-    return msgspec.msgpack.decode(encoder.encode(closing), type=Closing)
+    return msgspec.msgpack.decode(encoder.encode(entry), type=Entry)
 
 
 def through(layout: Layout, written: dict[str, Any], before: dict[str, Any], author: int = 1) -> dict[str, Any]:
     """What others make of an event's writes."""
-    items = layout.read(received(closing(*layout.written(written, before, author)[0], author=author)))
+    items = layout.read(received(entry(*layout.written(written, before, author)[0], author=author)))
     assert items is not None
     return {layout.names[i]: layout.resolve(i, item, layout.base(i, before, author)) for i, item in items}
 
@@ -57,7 +57,7 @@ def test_a_large_value_that_changes_little_goes_as_a_patch() -> None:
     written = {"map": MORE, "seen": MORE, "note": "b"}
     writes = layout.written(written, before, 1)[0]
     assert [(w.index, w.patch) for w in writes] == [(0, True), (1, True), (4, False)]
-    assert len(encoder.encode(closing(*writes))) < 60
+    assert len(encoder.encode(entry(*writes))) < 60
     assert through(Layout(SHARED, 3), written, before) == written
 
 
@@ -135,7 +135,7 @@ _number = st.integers(-(2**63), 2**64 - 1) | st.booleans() | st.just(Odd.ONE) | 
 def test_what_an_author_keeps_of_its_writes_is_what_the_others_read(written: dict[str, Any]) -> None:
     layout = Layout(SCALARS, 3)
     writes, kept = layout.written(written, store(layout, note="ab" * 150), 1)
-    read = Layout(SCALARS, 3).read(received(closing(*writes)))
+    read = Layout(SCALARS, 3).read(received(entry(*writes)))
     assert (kept is None) == (read is None) and repr(list(kept or ())) == repr(list(read or ()))
 
 
@@ -196,27 +196,27 @@ VALUE = msgspec.Raw(encoder.encode("a"))
 @pytest.mark.parametrize(
     "wrong",
     [
-        closing(author=3),
-        closing(first=5),
-        closing(Write(4, VALUE), first=3),
-        closing(first=3, acted=True),
-        closing(Write(5, VALUE)),
-        closing(Write(5, VALUE, True)),
-        closing(Write(4, VALUE), Write(4, VALUE)),
-        closing(Write(4, VALUE), Write(4, VALUE, True)),
-        closing(Write(4, VALUE), Write(2, VALUE)),
-        closing(Write(2, VALUE)),
-        closing(Write(4, msgspec.Raw(b"\xc0"))),
-        closing(Write(4, msgspec.Raw(b""))),
+        entry(author=3),
+        entry(first=5),
+        entry(Write(4, VALUE), first=3),
+        entry(first=3, acted=True),
+        entry(Write(5, VALUE)),
+        entry(Write(5, VALUE, True)),
+        entry(Write(4, VALUE), Write(4, VALUE)),
+        entry(Write(4, VALUE), Write(4, VALUE, True)),
+        entry(Write(4, VALUE), Write(2, VALUE)),
+        entry(Write(2, VALUE)),
+        entry(Write(4, msgspec.Raw(b"\xc0"))),
+        entry(Write(4, msgspec.Raw(b""))),
     ],
 )
-def test_a_closing_that_does_not_fit_is_refused(wrong: Closing) -> None:
+def test_a_entry_that_does_not_fit_is_refused(wrong: Entry) -> None:
     assert Layout(SHARED, 3).read(wrong) is None
 
 
 def test_what_is_read_keeps_no_datagram_alive() -> None:
-    data = encoder.encode(closing(Write(0, msgspec.Raw(b"\xc0"), True)))
-    items = Layout(SHARED, 3).read(msgspec.msgpack.decode(memoryview(data), type=Closing))
+    data = encoder.encode(entry(Write(0, msgspec.Raw(b"\xc0"), True)))
+    items = Layout(SHARED, 3).read(msgspec.msgpack.decode(memoryview(data), type=Entry))
     assert items == [(0, Unpatched(b"\xc0"))]
 
 
@@ -235,12 +235,12 @@ def test_what_no_robot_can_send_in_a_round_is_told() -> None:
         Layout((), MAX_ROBOTS + 1)
 
 
-def test_every_closing_goes_into_so_many_pieces() -> None:
+def test_every_entry_goes_into_so_many_fragments() -> None:
     for n in range(1, MAX_ROBOTS + 1):
-        assert 0 < most_closing(n) <= min(MOST_CLOSING, MOST_PIECES * (LIMIT - overhead(n)))
+        assert 0 < most_entry(n) <= min(MOST_ENTRY, MOST_FRAGMENTS * (LIMIT - overhead(n)))
 
 
-def test_no_closing_is_longer_than_is_reckoned() -> None:
+def test_no_entry_is_longer_than_is_reckoned() -> None:
     layout = Layout(SHARED, 3)
     top = 2**53
     far, cells = 2**62, (160 * 140) // 4
@@ -251,8 +251,8 @@ def test_no_closing_is_longer_than_is_reckoned() -> None:
         "ways": tuple(0.1 * k for k in range(60)),
         "note": "x" * 300,
     }
-    made = Closing(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.written(longest)[0])
-    assert layout.closing_bytes - 80 < len(encoder.encode(made)) <= layout.closing_bytes
+    made = Entry(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.written(longest)[0])
+    assert layout.entry_bytes - 80 < len(encoder.encode(made)) <= layout.entry_bytes
 
 
 @pytest.mark.parametrize(
@@ -260,5 +260,5 @@ def test_no_closing_is_longer_than_is_reckoned() -> None:
 )
 def test_a_text_fits_by_its_bytes(text: str) -> None:
     layout = Layout((Variable("text", "allread", str, Text(9), str),), 1)
-    closing = Closing(0, 0, 1, 1, writes=(Write(0, msgspec.Raw(encoder.encode(text))),))
-    assert layout.read(closing) == ([(0, text)] if len(text.encode()) <= 9 else None)
+    entry = Entry(0, 0, 1, 1, writes=(Write(0, msgspec.Raw(encoder.encode(text))),))
+    assert layout.read(entry) == ([(0, text)] if len(text.encode()) <= 9 else None)

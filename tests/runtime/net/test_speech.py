@@ -11,60 +11,62 @@ from koordgen.runtime.net import speech, wire
 from koordgen.runtime.net.speech import (
     ECHOES_A_LESSON,
     MOST_DATAGRAMS,
-    MOST_PIECES_AT_ONCE,
+    MOST_FRAGMENTS_AT_ONCE,
     OTHERS,
     OTHERS_EVERY,
     others_every,
 )
-from koordgen.runtime.net.wire import LIMIT, MAX_ECHOES, Closing, Piece, Round, encoder
-from tests.runtime.net.links import OWN, WORD, Mouth, N, closing_of
+from koordgen.runtime.net.wire import LIMIT, MAX_ECHOES, Entry, Fragment, RoundMessage, encoder
+from tests.runtime.net.links import OWN, WORD, Mouth, N, entry_of
 
 
-def said(*closings: Closing) -> list[Any]:
-    """The messages with these closings."""
+def said(*entries: Entry) -> list[Any]:
+    """The messages with these entries."""
     mouth = Mouth()
-    mouth.speech.round(mouth.others, WORD, closings)
+    mouth.speech.round(mouth.others, (*WORD, tuple(entries)))
     assert all(len(datagram) <= LIMIT for _, datagram in mouth.sent)
     return mouth.said()
 
 
-def closing_with(size: int, round_: int = 30) -> Closing:
+def entry_with(size: int, round_: int = 30) -> Entry:
     """One that is so many bytes long."""
-    return closing_of(round_, 700 + size - len(encoder.encode(closing_of(round_, 700))))
+    return entry_of(round_, 700 + size - len(encoder.encode(entry_of(round_, 700))))
 
 
 def test_what_just_fits_into_a_datagram_is_one() -> None:
     mouth, again = Mouth(), Mouth()
-    mouth.speech.round(mouth.others, WORD, [closing_of(30, 700)])
-    whole = closing_of(30, 700 + LIMIT - len(mouth.sent[0][1]))
-    again.speech.round(again.others, WORD, [whole])
-    assert [len(datagram) for _, datagram in again.sent] == [LIMIT] and again.said()[0].closings == (whole,)
+    mouth.speech.round(mouth.others, (*WORD, (entry_of(30, 700),)))
+    whole = entry_of(30, 700 + LIMIT - len(mouth.sent[0][1]))
+    again.speech.round(again.others, (*WORD, (whole,)))
+    assert [len(datagram) for _, datagram in again.sent] == [LIMIT] and again.said()[0].entries == (whole,)
 
 
 @pytest.mark.parametrize("beyond", [0, 1])
-def test_a_closing_that_has_no_room_in_any_datagram_goes_in_pieces(beyond: int) -> None:
-    large, small = closing_with(Mouth().speech.room + beyond), closing_of(31, 700)
+def test_a_entry_that_has_no_room_in_any_datagram_goes_in_fragments(beyond: int) -> None:
+    large, small = entry_with(Mouth().speech.room + beyond), entry_of(31, 700)
     messages = said(large, small)
-    assert [m.closings for m in messages if isinstance(m, Round)] == ([(small,)] if beyond else [(large,), (small,)])
-    assert [m.index for m in messages if isinstance(m, Piece)] == ([0, 1] if beyond else [])
+    assert [m.entries for m in messages if isinstance(m, RoundMessage)] == (
+        [(small,)] if beyond else [(large,), (small,)]
+    )
+    assert [m.index for m in messages if isinstance(m, Fragment)] == ([0, 1] if beyond else [])
 
 
 @pytest.mark.parametrize("beyond", [0, 1])
-def test_as_many_closings_go_together_as_have_room(beyond: int) -> None:
+def test_as_many_entries_go_together_as_have_room(beyond: int) -> None:
     room = Mouth().speech.room
-    half, rest = closing_with(room // 2, 30), closing_with(room - room // 2 + beyond, 31)
-    *before, _ = said(half, rest, closing_with(room, 32))
-    assert [m.closings for m in before] == ([(half,), (rest,)] if beyond else [(half, rest)])
+    half, rest = entry_with(room // 2, 30), entry_with(room - room // 2 + beyond, 31)
+    *before, _ = said(half, rest, entry_with(room, 32))
+    assert [m.entries for m in before] == ([(half,), (rest,)] if beyond else [(half, rest)])
 
 
 def test_of_more_than_a_few_datagrams_the_first_go() -> None:
-    closings = [closing_with(Mouth().speech.room, round_) for round_ in range(30, 32 + MOST_DATAGRAMS)]
-    assert [m.closings for m in said(*closings)] == [(each,) for each in closings[:MOST_DATAGRAMS]]
+    entries = [entry_with(Mouth().speech.room, round_) for round_ in range(30, 32 + MOST_DATAGRAMS)]
+    assert [m.entries for m in said(*entries)] == [(each,) for each in entries[:MOST_DATAGRAMS]]
 
 
-def test_of_many_pieces_the_first_go() -> None:
-    large = closing_of(30, (MOST_PIECES_AT_ONCE + 4) * LIMIT)
-    assert [m.index for m in said(large) if isinstance(m, Piece)] == list(range(MOST_PIECES_AT_ONCE))
+def test_of_many_fragments_the_first_go() -> None:
+    large = entry_of(30, (MOST_FRAGMENTS_AT_ONCE + 4) * LIMIT)
+    assert [m.index for m in said(large) if isinstance(m, Fragment)] == list(range(MOST_FRAGMENTS_AT_ONCE))
 
 
 def test_every_hello_echoes() -> None:
@@ -72,7 +74,7 @@ def test_every_hello_echoes() -> None:
     mouth = Mouth()
     mouth.meet(mouth.others)
     for _ in range(3):
-        mouth.speech.round(mouth.others, WORD, ())
+        mouth.speech.round(mouth.others, (*WORD, ()))
     assert mouth.said()[-1].head.echoes == ()
     for _ in range(3):
         mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
@@ -87,7 +89,7 @@ def test_who_is_due_a_little_later_waits_for_no_other_turn(apart: float) -> None
     mouth.meet(mouth.others)
     begun = mouth.clock.time
     while mouth.clock.time < begun + 10 * every:
-        mouth.speech.round(mouth.others, WORD, ())
+        mouth.speech.round(mouth.others, (*WORD, ()))
         echoed = [echo.pid for echo in mouth.said()[-1].head.echoes]
         gaps += [mouth.clock.time - last[pid] for pid in echoed if pid in last]
         last |= dict.fromkeys(echoed, mouth.clock.time)
@@ -104,7 +106,7 @@ def test_who_is_due_a_little_later_waits_for_no_other_turn(apart: float) -> None
 def test_times_are_told_in_microseconds(shift: float | None, fleet: int | None) -> None:
     mouth = Mouth()
     mouth.shift = shift  # type: ignore[assignment]
-    mouth.speech.round(mouth.others, WORD, ())
+    mouth.speech.round(mouth.others, (*WORD, ()))
     (message,) = mouth.said()
     assert (message.head.sent, message.head.fleet) == (2_500_000, fleet)
 
@@ -113,7 +115,7 @@ def test_times_are_told_in_microseconds(shift: float | None, fleet: int | None) 
 def test_no_time_is_below_zero(now: float, sent: int) -> None:
     mouth = Mouth()
     mouth.clock.time = now
-    mouth.speech.round(mouth.others, WORD, ())
+    mouth.speech.round(mouth.others, (*WORD, ()))
     assert mouth.said()[0].head.sent == sent
 
 
@@ -121,8 +123,8 @@ def test_each_datagram_has_the_next_number_and_the_epoch_of_its_time() -> None:
     mouth = Mouth()
     for epoch in (b"", b"mission1", b"mission2", b""):
         mouth.link.epoch = epoch
-        mouth.speech.round(mouth.others, WORD, ())
-        mouth.speech.round([], WORD, ())
+        mouth.speech.round(mouth.others, (*WORD, ()))
+        mouth.speech.round([], (*WORD, ()))
         mouth.speech.say([], wire.Decided, wire.View(0, 1, (0,)))
         mouth.speech.say(mouth.others, wire.Decided, wire.View(0, 1, (0,)))
     heads = [message.head for message in mouth.said()]
@@ -143,16 +145,16 @@ def test_echoes_go_to_those_who_are_due_as_long_as_there_is_room(n: int) -> None
         mouth.clock.time += (0.001, 0.01, 0.2)[turn % 3]
         if turn == 20:
             mouth.meet(mouth.others)
-        mouth.speech.round(to, WORD, [closing_of(30)])
+        mouth.speech.round(to, (*WORD, (entry_of(30),)))
         message = wire.decode(mouth.sent.pop()[1], KEY)
-        assert isinstance(message, Round)
+        assert isinstance(message, RoundMessage)
         echoed = [echo.pid for echo in message.head.echoes]
         assert set(echoed) <= set(to) and all(mouth.clock.time - last.get(pid, -9.0) >= every for pid in echoed)
         last |= dict.fromkeys(echoed, mouth.clock.time)
         counts.append(len(echoed))
     assert sorted(last) == mouth.others and max(counts) == min(MAX_ECHOES, n - 1) and 0 in counts
     for _ in range(3):
-        mouth.speech.round(mouth.others, WORD, ())
+        mouth.speech.round(mouth.others, (*WORD, ()))
     assert mouth.speech._next_echo > mouth.clock.time, "nobody looks for whose turn it is while it is nobody's"
 
 
@@ -163,7 +165,7 @@ def test_in_a_large_fleet_all_have_their_turn_one_after_the_other(monkeypatch: p
     mouth.meet(mouth.others)
     while mouth.clock.time < 30.0:
         mouth.clock.time += 0.1
-        mouth.speech.round(mouth.others, WORD, ())
+        mouth.speech.round(mouth.others, (*WORD, ()))
         for echo in mouth.said()[-1].head.echoes:
             if echo.pid in last:
                 gaps.append(mouth.clock.time - last[echo.pid])

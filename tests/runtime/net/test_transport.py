@@ -108,7 +108,7 @@ def test_closed_it_does_nothing_and_raises_nothing(net: Opened) -> None:
     assert net.is_quiet(1)
 
 
-def test_a_flood_is_taken_in_bounded_pieces_and_blocks_no_sender(net: Opened) -> None:
+def test_a_flood_is_taken_in_bounded_fragments_and_blocks_no_sender(net: Opened) -> None:
     start = time.monotonic()
     for _ in range(5 * MOST_AT_ONCE):
         net.transports[0].send([1, 2], b"flood" * 60)

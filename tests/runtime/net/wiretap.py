@@ -10,41 +10,48 @@ import msgspec
 from benchmarks.fixtures.fleet import KEY, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.net import wire
-from koordgen.runtime.net.wire import Message, Round, encoder
+from koordgen.runtime.net.wire import Message, RoundMessage, encoder
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.replication.log import Log
-from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.messages import Vote
+from koordgen.runtime.replication.progress import Progress
+from tests.runtime.replication.agents import replica_of
 
 CLEO = 2
-NOTED = ("view", "applied", "through", "wanting", "gap", "lacks")  # columns of the ledger beside `held` and `number`
 
 
-def _later(log: Log) -> list[bytes]:
-    return [encoder.encode(log.later[first].closing) for first in sorted(log.later)]
+def _entries(log: Log) -> Any:
+    """Return the entries of one robot: those without a gap, and those behind one."""
+    later = [encoder.encode(log.later[first].entry) for first in sorted(log.later)]
+    return log.held, [encoder.encode(logged.entry) for logged in log.kept], later
+
+
+def _reports(peer: Progress) -> Any:
+    """Return what messages could change of a peer's progress, without the time at which it was heard last."""
+    reported = peer.view, peer.applied, peer.wanted, peer.lacks, tuple(peer.held)
+    return reported, peer.informed, peer.asked_to_join, str(peer.received)
 
 
 def snapshot(robot: Robot) -> Any:
-    """All state that datagrams could change, as plain values; what was dropped is counted elsewhere."""
+    """Return all state that datagrams could change, as plain values. Dropped datagrams are counted elsewhere."""
     agent = robot.agent
-    replica = agent._replica
-    assert replica is not None and replica.memory is not None
-    memory = replica.memory
-    ledger, columns = memory.ledger, vars(memory.ledger)
-    logs = [(log.held, [encoder.encode(e.closing) for e in log.entries], _later(log)) for log in memory._logs]
+    replica = replica_of(robot)
+    assert replica is not None and replica.state is not None
+    state = replica.state
     return (
-        logs,
-        (list(ledger.number), memory._words.sure, {k: str(v) for k, v in columns.items() if k in NOTED}),
-        memory.settled(),
-        memory.applied,
-        memory.shared,
+        [_entries(log) for log in state.logs],
+        (state.committed, {pid: _reports(peer) for pid, peer in replica.peers.items()}),
+        state.settled,
+        state.applied,
+        state.shared,
         str(agent._link.sessions),
         agent._link.epoch,
         list(agent._fleet_clock._exchanges),
         str(agent._joining._others),
-        (replica.views.view, replica.views.vote, str(replica.views._proposal)),
-        str({p: (peer.asked, peer.told, peer.partly) for p, peer in replica._peers.items()}),
-        str(replica._assembly._begun),
+        (replica.views.view, replica.views.vote, replica.is_busy),
+        str(replica._assembly.received()),
         replica.emergency,
+        [peer.heard for peer in replica.peers.values()],  # refused but authentic messages count here
     )
 
 
@@ -67,7 +74,7 @@ class Wiretap:
         self.before = snapshot(self.victim)
 
     def play(self, *datagrams: bytes) -> dict[str, int]:
-        """Let them arrive now; what was dropped, by reason."""
+        """Let datagrams arrive now. Return how many were dropped, by reason."""
         link = self.victim.agent._link
         counted = dict(link.rejected)
         queue = self.fleet.network._queues[0]
@@ -81,13 +88,13 @@ class Wiretap:
         return bool(snapshot(self.victim) == self.before)
 
     def unbound(self) -> bool:
-        """Whether the view and the vote on the next are what they were."""
-        replica = self.victim.agent._replica
+        """Return whether the view and the vote are what they were."""
+        replica = replica_of(self.victim)
         return replica is not None and (replica.views.view.number, replica.views.vote) == (0, Vote())
 
-    def forged(self, change: Callable[[Round], Message]) -> bytes:
+    def forged(self, change: Callable[[RoundMessage], Message]) -> bytes:
         """A datagram that the genuine key sealed, from a robot gone wrong: the next one of cleo, changed."""
         sent = [wire.decode(d, KEY) for s, r, d in self.heard if s == CLEO and r == 0]
-        last = [m for m in sent if isinstance(m, Round)][-1]
+        last = [m for m in sent if isinstance(m, RoundMessage)][-1]
         head = msgspec.structs.replace(last.head, sequence=last.head.sequence + 1, echoes=())
-        return wire.encode(change(msgspec.structs.replace(last, head=head, closings=())), KEY)
+        return wire.encode(change(msgspec.structs.replace(last, head=head, entries=())), KEY)

@@ -3,7 +3,7 @@
 This is the only module of the scenarios that knows the core's classes and message classes. A core that is written anew
 needs another `Fleet` with the same methods, and the scripts stay as they are.
 
-Time comes in slots, SLOTS in a round. Robots number from 0. Every message that a robot sends is checked at once against
+Time comes in slots, TICKS in a round. Robots number from 0. Every message that a robot sends is checked at once against
 what this robot has saved, and every store against those of the other robots.
 """
 
@@ -15,30 +15,29 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from koordgen.runtime.agent.rounds import Lost, Rounds
-from koordgen.runtime.agent.store import KEPT
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.wire import (
     Accept,
     Accepted,
-    Closing,
     Decided,
-    Need,
+    Entry,
+    Nack,
     Prepare,
     Promise,
-    Round,
-    StatePiece,
+    RejoinRequest,
+    RoundMessage,
+    SnapshotFragment,
     View,
-    Want,
 )
 from koordgen.runtime.program.program import Effects, Life, Variable
 from koordgen.runtime.program.runner import Outcome
-from koordgen.runtime.replication.memory import Memory
-from koordgen.runtime.replication.replica import SLOTS as SLOTS  # re-exported
+from koordgen.runtime.replication.driver import Driver
+from koordgen.runtime.replication.messages import HardState, Vote
+from koordgen.runtime.replication.replica import TICKS as TICKS  # the runner imports it from here
 from koordgen.runtime.replication.replica import Replica
-from koordgen.runtime.replication.views import Vote
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.values.bounds import Fixed
-from tests.model.lab import SENSED, Body, Flight, Wire
-from tests.model.lab import Kept as LabKept
+from tests.model.lab import SENSED, Body, Flight, Kept, Wire
 
 # Kinds of messages by role. `entries`: log entries of rounds, with a progress report; `report`: the report alone.
 KINDS = (
@@ -129,17 +128,6 @@ class _Body(Body):
         return False
 
 
-class Kept(LabKept):
-    """What a robot finds again after a restart. As in the file, the lives written last stay, not those of the last
-    rounds: a robot that loses contention writes the one of its last event again."""
-
-    def keep(self, life: Life) -> None:
-        self.lives.pop(life.round, None)
-        self.lives[life.round] = life
-        for old in list(self.lives)[:-KEPT]:
-            del self.lives[old]
-
-
 class _Link(Wire):
     """Checks each message, when it is sent, against what its sender has saved."""
 
@@ -152,10 +140,8 @@ class _Link(Wire):
         super().say(to, kind, *fields)
         self._check(len(to))
 
-    def round(
-        self, to: Collection[int], word: Sequence[Any], closings: Sequence[Closing], partly: object = None
-    ) -> None:
-        super().round(to, word, closings, partly)
+    def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:
+        super().round(to, fields, received)
         self._check(len(to))
 
     def _check(self, count: int) -> None:
@@ -166,10 +152,10 @@ class _Link(Wire):
     def _saved(self, message: Any) -> bool:
         kept = self._kept
         match message:
-            case Round(applied=applied, closings=closings):
-                ran = [c.round for c in closings if c.author == self.pid and c.acted]
+            case RoundMessage(applied=applied, entries=entries):
+                ran = [c.round for c in entries if c.author == self.pid and c.acted]
                 return kept.applied >= applied and max(kept.lives) >= max(ran, default=0)
-            case Need(applied=applied):
+            case Nack(applied=applied):
                 return kept.applied >= applied
             case Promise(number=number, ballot=ballot, applied=applied):
                 return kept.vote.number == number and kept.vote.promised >= ballot and kept.applied >= applied
@@ -182,13 +168,13 @@ class _Link(Wire):
 
 def kind_of(message: Any) -> str:
     match message:
-        case Round(closings=closings):
-            return "entries" if closings else "report"
-        case Need():
+        case RoundMessage(entries=entries):
+            return "entries" if entries else "report"
+        case Nack():
             return "nack"
-        case Want(incarnation=incarnation):
+        case RejoinRequest(incarnation=incarnation):
             return "join" if incarnation < 0 else "state-request"
-        case StatePiece():
+        case SnapshotFragment():
             return "state"
     return type(message).__name__.lower()
 
@@ -196,30 +182,30 @@ def kind_of(message: Any) -> str:
 def described(message: Any) -> str:
     """What a message says."""
     match message:
-        case Round(closings=closings, applied=applied):
-            return " ".join([*map(_entry, closings), f"applied {applied}"])
-        case Need(through=through, applied=applied):
+        case RoundMessage(entries=entries, applied=applied):
+            return " ".join([*map(_entry, entries), f"applied {applied}"])
+        case Nack(through=through, applied=applied):
             return f"through {through} applied {applied}"
         case Prepare(view=view):
             return f"view {view.number + 1}"
-        case Promise(number=number, applied=applied, state=state, accepted=accepted):
+        case Promise(number=number, applied=applied, has_store=state, accepted=accepted):
             voted = f" voted {_view(accepted)}" if accepted is not None else ""
             return f"view {number} applied {applied}{'' if state else ' without a store'}{voted}"
         case Accept(value=value) | Decided(value=value):
             return f"view {_view(value)}"
         case Accepted(number=number):
             return f"view {number}"
-        case Want(view=number):
+        case RejoinRequest(view=number):
             return f"view {number}"
-        case StatePiece(round=round_, index=index, count=count):
+        case SnapshotFragment(round=round_, index=index, count=count):
             return f"round {round_} part {index + 1} of {count}"
     raise AssertionError(message)
 
 
-def _entry(closing: Closing) -> str:
-    rounds = str(closing.round) if closing.first == closing.round else f"{closing.first}-{closing.round}"
-    marks = "*" * closing.acted + f" lock {closing.lock}" * (closing.lock >= 0) + " stopped" * closing.stopped
-    return f"{closing.author}@{rounds}{marks}"
+def _entry(entry: Entry) -> str:
+    rounds = str(entry.round) if entry.first == entry.round else f"{entry.first}-{entry.round}"
+    marks = "*" * entry.acted + f" lock {entry.lock}" * (entry.lock >= 0) + " stopped" * entry.stopped
+    return f"{entry.author}@{rounds}{marks}"
 
 
 def _view(view: View) -> str:
@@ -248,27 +234,25 @@ class Fleet:
         self._views: dict[int, View] = {}
         self._events: list[Event | None] = [None] * n
         self._commanded: list[list[int]] = [[] for _ in range(n)]
-        inits = [Closing(p, 0, 0, 0) for p in range(n)]
+        inits = [Entry(p, 0, 0, 0) for p in range(n)]
         view = View(0, 1, (0,) * n)
         kept = [Kept(view, lives={0: Life(0, FIRST, {}, False)}) for _ in range(n)]
-        self._robots = [self._start(p, kept[p], Memory.begin(self._layout, p, view, inits)) for p in range(n)]
+        states = [StateMachine.begin(self._layout, p, view, inits) for p in range(n)]
+        self._robots = [self._start(p, kept[p], states[p]) for p in range(n)]
 
-    def _start(self, pid: int, kept: Kept, memory: Memory | None) -> _Robot:
+    def _start(self, pid: int, kept: Kept, state: StateMachine | None) -> _Robot:
         flights: list[Flight] = []
         link = _Link(pid, self.n, flights, kept, self._room)
 
-        def announce(view: View, applied: int, vote: Vote) -> None:
-            kept.view, kept.applied, kept.vote = view, applied, vote
-
-        replica = Replica(
-            cast(Any, link), self._layout, memory, kept.view, kept.vote, kept.applied, self._timeout, announce
-        )
+        hard_state = HardState(kept.view, kept.applied, kept.vote)
+        replica = Replica(pid, self._layout, state, hard_state, self._timeout, self._room)
+        driver = Driver(replica, cast(Any, link), kept.persist, lambda private: kept.keep(private[0]))
         lives = [kept.lives[r] for r in sorted(kept.lives)]
         program, body = _Program(pid, lives[-1].locals, self._events), _Body(self._commanded[pid].append)
         clock = SimpleNamespace(read=lambda t: t, local=lambda t: t)
         rounds = Rounds(
-            cast(Any, program), cast(Any, body), replica, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
-            1.0, lives, lambda record: None, lambda life, incarnation: kept.keep(life),
+            cast(Any, program), cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
+            1.0, lives, lambda record: None,
         )  # fmt: skip
         return _Robot(replica, rounds, body, flights, kept)
 
@@ -278,7 +262,7 @@ class Fleet:
         """Let a robot do what is due at a time, in slots; returns what it has sent."""
         robot = self._robots[pid]
         try:
-            robot.rounds.poll(time / SLOTS, lambda t: SENSED, None)
+            robot.rounds.poll(time / TICKS, lambda t: SENSED, None)
         except Lost as lost:
             raise Violation(f"robot {pid} is lost: {lost}") from None
         self._check(pid)
@@ -286,7 +270,7 @@ class Fleet:
 
     def deliver(self, message: Sent) -> list[Sent]:
         """Hand a message to its receiver; returns what that has sent at once."""
-        self._robots[message.to].rounds.take([message.flight.message])
+        self._robots[message.to].rounds.receive([cast(Any, message.flight.message)])
         return self._drain(message.to)
 
     def restart(self, pid: int) -> None:
@@ -316,33 +300,33 @@ class Fleet:
     def role(self, pid: int) -> str:
         """`member`: counts and has the store; `joining`: counts again, without it; `out`: does not count."""
         replica = self._robots[pid].replica
-        if replica.memory is not None:
+        if replica.state is not None:
             return "member"
-        comeback, view = replica.comeback, replica.views.view
-        return "joining" if comeback is not None and comeback.incarnation(view) >= 0 else "out"
+        rejoin, view = replica.rejoin, replica.views.view
+        return "joining" if rejoin is not None and rejoin.incarnation(view) >= 0 else "out"
 
     def is_frozen(self, pid: int) -> bool:
         """Whether a robot has promised to apply no further round until the next view is decided."""
-        return self._robots[pid].replica.views.frozen
+        return self._robots[pid].replica.views.is_frozen
 
     def applied(self, pid: int) -> int | None:
         """The last round applied; None without a store."""
-        memory = self._robots[pid].replica.memory
-        return None if memory is None else memory.applied
+        state = self._robots[pid].replica.state
+        return None if state is None else state.applied
 
     def settled(self, pid: int) -> int | None:
         """The last round that every member holds, as far as a robot knows; None without a store."""
-        memory = self._robots[pid].replica.memory
-        return None if memory is None else memory.settled()
+        state = self._robots[pid].replica.state
+        return None if state is None else state.settled
 
     def kept_rounds(self, pid: int) -> list[int]:
         """The rounds of the own entries that a robot keeps for others, without gaps between."""
-        memory = self._robots[pid].replica.memory
-        return [] if memory is None else [c.round for c in memory.own(1)]
+        state = self._robots[pid].replica.state
+        return [] if state is None else [c.round for c in state.own(1)]
 
     def store(self, pid: int) -> Mapping[str, Any] | None:
-        memory = self._robots[pid].replica.memory
-        return None if memory is None else memory.shared
+        state = self._robots[pid].replica.state
+        return None if state is None else state.shared
 
     def is_stopped(self, pid: int) -> bool:
         return self._robots[pid].rounds.stopped
@@ -379,11 +363,11 @@ class Fleet:
         view = replica.views.view
         if self._views.setdefault(view.number, view) != view:
             raise Violation(f"two views {view.number}: {_view(self._views[view.number])} and {_view(view)}")
-        memory = replica.memory
-        if memory is None:
+        state = replica.state
+        if state is None:
             return
-        store, key = memory.shared, (memory.view.number, memory.applied)
+        store, key = state.shared, (state.view.number, state.applied)
         if self._stores.setdefault(key, store) != store:
-            raise Violation(f"two stores after round {memory.applied}: {self._stores[key]} and {store} (robot {pid})")
+            raise Violation(f"two stores after round {state.applied}: {self._stores[key]} and {store} (robot {pid})")
         if store["count"] != sum(store["wins"]):
             raise Violation(f"robot {pid}: {store['count']} transactions counted of {store['wins']}")

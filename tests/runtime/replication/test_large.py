@@ -1,4 +1,4 @@
-"""Values that are longer than a datagram: eight robots at maps of 160 x 140 cells, in pieces and in patches."""
+"""Values that are longer than a datagram: eight robots at maps of 160 x 140 cells, in fragments and in patches."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net import wire
 from koordgen.runtime.net.network import Conditions
-from koordgen.runtime.net.wire import LIMIT, Closing, Round, Write
+from koordgen.runtime.net.wire import LIMIT, Entry, RoundMessage, Write
 from koordgen.runtime.program.program import Event, Frame, Transaction, Variable
 from koordgen.runtime.values.bounds import Cells
 from koordgen.runtime.values.gridmap import OCCUPIED, GridMap, area, is_occupied, mark_occupied
 from koordgen.runtime.values.points import Grid, Point
+from tests.runtime.replication.agents import locals_of, rounds_of, snapshot_of
 
 WIDTH, HEIGHT, N = 160, 140, 8
 MARKS = 4  # cells that each robot marks in the map of all
@@ -85,14 +86,14 @@ MAPS = replace(
 
 
 def store(robot: Robot) -> Any:
-    replica = robot.agent._replica
-    assert replica is not None and replica.memory is not None
-    return replica.memory.shared
+    state = snapshot_of(robot)
+    assert state is not None
+    return state.shared
 
 
 def finish(fleet: Fleet) -> None:
     """Until all have edited as often as they shall, and everyone has heard of it."""
-    fleet.run(60, until=lambda: all(r.agent._runner.locals["count"] == 2 * MARKS for r in fleet.robots.values()))
+    fleet.run(60, until=lambda: all(locals_of(r)["count"] == 2 * MARKS for r in fleet.robots.values()))
     fleet.run(1.5)
     first = store(fleet.robots[0])
     chart, mine = blank(), []
@@ -107,27 +108,27 @@ def finish(fleet: Fleet) -> None:
     assert is_occupied(chart, Grid(1, 7, 1.0)), "the test's own map is no blank one"
     for robot in fleet.robots.values():
         assert store(robot) == first
-        replica = robot.agent._replica
-        assert replica is not None and replica.memory is not None and replica.memory.unfit == 0
+        state = snapshot_of(robot)
+        assert state is not None and state.unfit == 0
         assert not any("does not fit" in reason for reason in robot.agent._link.rejected), robot.agent._link.rejected
 
 
 @pytest.mark.parametrize("length", [1, 30, 300, 700, 5000])
-def test_words_with_closings_go_in_as_few_datagrams_as_they_fit_in(length: int) -> None:
+def test_a_report_with_entries_goes_in_as_few_datagrams_as_it_fits_in(length: int) -> None:
     """Where all fit into one they need no other way than those that do not; no echo is lost on the way."""
     fleet = Fleet(n=3).boot_all()
     fleet.run_rounds(3)
     speech, sent = fleet.robots[0].agent._link.speech, list[bytes]()
     fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
     value = Raw(wire.encoder.encode("x" * length))
-    closings = [Closing(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
+    entries = [Entry(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
     speech._next_echo = float("-inf")
     speech._echoed.clear()
-    speech.round([1], (0, 5, 4, 3, False, ()), closings)
+    speech.round([1], (0, 5, 4, 3, False, (), tuple(entries)))
     messages = [wire.decode(d, KEY) for d in sent]
-    rounds = [m for m in messages if isinstance(m, Round)]
+    rounds = [m for m in messages if isinstance(m, RoundMessage)]
     assert all(len(d) <= LIMIT for d in sent) and len(messages) == {1: 1, 30: 1, 300: 2, 700: 4, 5000: 25}[length]
-    assert [c for m in rounds for c in m.closings] == (closings if length < LIMIT else [])
+    assert [c for m in rounds for c in m.entries] == (entries if length < LIMIT else [])
     assert sum(len(m.head.echoes) for m in messages if not isinstance(m, str)) == 1
     assert len({m.head.sequence for m in messages if not isinstance(m, str)}) == len(messages)
 
@@ -146,16 +147,16 @@ def tapped(fleet: Fleet) -> Counter[str]:
     return sent
 
 
-def test_a_dense_map_goes_in_pieces_once_and_what_changes_of_it_in_patches() -> None:
+def test_a_dense_map_goes_in_fragments_once_and_what_changes_of_it_in_patches() -> None:
     fleet = Fleet(n=N, program=MAPS).boot_all()
-    fleet.run(60, until=lambda: all(r.agent._rounds is not None for r in fleet.robots.values()))
+    fleet.run(60, until=lambda: all(rounds_of(r) is not None for r in fleet.robots.values()))
     sent = tapped(fleet)
     finish(fleet)
     room = fleet.robots[0].agent._link.speech.room
-    pieces = -(-(WIDTH * HEIGHT // 4) // room)
-    assert pieces * N * (N - 1) <= sent["Piece"] <= (pieces + 1) * N * (N - 1)
-    patched = sent["bytes"] - sent["Piece"] * 1200
-    datagrams = sum(sent[kind] for kind in ("Round", "Need", "Hello"))
+    fragments = -(-(WIDTH * HEIGHT // 4) // room)
+    assert fragments * N * (N - 1) <= sent["Fragment"] <= (fragments + 1) * N * (N - 1)
+    patched = sent["bytes"] - sent["Fragment"] * 1200
+    datagrams = sum(sent[kind] for kind in ("RoundMessage", "Nack", "Hello"))
     assert patched < 400 * datagrams, "what changes little goes as a patch"
 
 

@@ -15,6 +15,7 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent.store import KEPT, Acceptor, Keeper, Locals, Mission, Store
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
+from tests.runtime.replication.agents import locals_of, snapshot_of
 from tests.runtime.replication.reference import check_visibility
 from tests.runtime.replication.test_transactions import COUNTER, OFTEN
 
@@ -34,13 +35,13 @@ def kill(fleet: Fleet, pid: int) -> Robot:
 
 
 def total(robot: Robot) -> int | None:
-    """The shared counter, by this robot's store."""
-    replica = robot.agent._replica
-    return None if replica is None or replica.memory is None else int(replica.memory.shared["last"])
+    """Return the shared counter in this robot's store."""
+    state = snapshot_of(robot)
+    return None if state is None else int(state.shared["last"])
 
 
 def own(robot: Robot) -> int:
-    return int(robot.agent._runner.locals["count"])
+    return int(locals_of(robot)["count"])
 
 
 def finish(fleet: Fleet) -> None:

@@ -57,7 +57,7 @@ def test_replicas_are_equal_and_the_highest_pid_wins() -> None:
 
 
 def test_one_datagram_per_peer_and_round_when_nothing_is_lost() -> None:
-    """What is confirmed is confirmed by the next round's datagram, if nothing waits for it."""
+    """If no output waits for it, a round is acknowledged by the next round's datagram."""
     fleet = Fleet(program=SILENT).boot_all()
     fleet.run_rounds(10)
     fleet.run(0.05)
@@ -68,7 +68,7 @@ def test_one_datagram_per_peer_and_round_when_nothing_is_lost() -> None:
 
 
 def test_an_event_with_outputs_costs_one_more_datagram_from_each_other_robot() -> None:
-    """LineForm: three robots command theirs in each round, and all but them confirm it to them at once."""
+    """LineForm: three robots command their bodies in each round, and the others acknowledge it to them at once."""
     fleet = Fleet().boot_all()
     fleet.run_rounds(10)
     fleet.run(0.05)
@@ -100,7 +100,7 @@ def test_all_wait_for_the_last_init() -> None:
     check_visibility(fleet)
 
 
-def test_a_robot_out_of_reach_is_left_out_and_comes_back_by_itself() -> None:
+def test_a_robot_out_of_reach_is_left_out_and_rejoins_by_itself() -> None:
     fleet = Fleet(safety=Safety(peer_timeout=10)).boot_all()
     fleet.run_rounds(20)
     left = fleet.robots[0].agent.round
@@ -128,7 +128,7 @@ def test_a_robot_out_of_reach_is_left_out_and_comes_back_by_itself() -> None:
     check_visibility(fleet)
 
 
-def test_a_robot_that_misses_the_start_is_let_in_later() -> None:
+def test_a_robot_that_misses_the_start_is_admitted_later() -> None:
     fleet = Fleet().boot_all()
     fleet.network.cut = lambda sender, receiver: receiver == 4 and fleet.robots[0].agent._joining.mission is not None
     fleet.run(1.0)
@@ -218,10 +218,9 @@ def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:
     assert alice.records[-1].round >= alice.agent.round - 1
 
 
-@pytest.mark.parametrize("most", [1.0, 0.0025])
-def test_what_a_robot_expects_is_what_its_closed_round_lacks(most: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounds, "MOST_GATHER", most)
-    fleet = Fleet(n=3).boot_all()
+@pytest.mark.parametrize(("delta", "delay"), [(0.1, 0.001), (0.002, 0.00002)])
+def test_a_robot_expects_the_entries_that_its_closed_round_lacks(delta: float, delay: float) -> None:
+    fleet = Fleet(n=3, delta=delta, conditions=Conditions(delay=delay, jitter=4 * delay)).boot_all()
     agent = fleet.robots[0].agent
     seen = {agent.expects}
 
@@ -230,5 +229,4 @@ def test_what_a_robot_expects_is_what_its_closed_round_lacks(most: float, monkey
         return agent.round == 20
 
     fleet.run(60, until=note)
-    longest = most * fleet.delta
-    assert seen == {(1, 0.0), *((n, min(n * rounds.GATHER, longest)) for n in (1, 2))}
+    assert seen == {(1, 0.0), *((n, min(n * rounds.GATHER, rounds.MOST_GATHER * delta)) for n in (1, 2))}

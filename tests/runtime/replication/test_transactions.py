@@ -1,5 +1,5 @@
-"""Transactions on robots: of all that try, one counts for each lock and round; no update is lost, whatever the network
-does."""
+"""Transactions on robots: of all that contend, one counts for each lock and round; no update is lost, whatever the
+network does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.program import Event, Program, Stopped
-from koordgen.runtime.replication.outcome import winner
+from koordgen.runtime.replication.apply import winner
+from tests.runtime.replication.agents import has_stopped, locals_of
 
 OFTEN = 12  # times that each robot counts
 
@@ -71,13 +72,10 @@ def test_of_all_who_try_one_wins_and_everyone_has_a_turn(n_sys: int) -> None:
 )
 def test_an_atomic_counter_loses_no_update(conditions: Conditions, seed: int) -> None:
     fleet = Fleet(n=5, seed=seed, conditions=conditions, program=COUNTER).boot_all()
-    fleet.run(
-        120, until=lambda: all(r.agent._rounds is not None and r.agent._rounds.stopped for r in fleet.robots.values())
-    )
-    fleet.run(2.0)  # the last one stopped tells what came of it
+    fleet.run(120, until=lambda: all(map(has_stopped, fleet.robots.values())))
+    fleet.run(2.0)  # the last round of the robot that stopped last must be committed
     for robot in fleet.robots.values():
-        assert robot.agent._runner.locals == {"count": OFTEN}
-        assert robot.agent._rounds is not None and robot.agent._rounds.stopped
+        assert locals_of(robot) == {"count": OFTEN} and has_stopped(robot)
     committed = [rec for r in fleet.robots.values() for rec in r.records if rec.event == "Count" and rec.effects]
     assert len({rec.round for rec in committed}) == len(committed) == 5 * OFTEN
     assert sorted(rec.effects.shared["last"] for rec in committed if rec.effects) == list(range(1, 5 * OFTEN + 1))

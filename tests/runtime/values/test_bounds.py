@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.wire import Closing, Write
+from koordgen.runtime.net.wire import Entry, Write
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Blob, Bound, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text, fits
 from koordgen.runtime.values.gridmap import GridMap
@@ -66,10 +66,10 @@ SHARED = (
 )
 
 
-def closing(**values: Any) -> Closing:
+def entry(**values: Any) -> Entry:
     names = [v.name for v in SHARED]
     writes = sorted((names.index(n), msgspec.msgpack.encode(v)) for n, v in values.items())
-    return Closing(1, 0, 4, 4, writes=tuple(Write(i, msgspec.Raw(data)) for i, data in writes))
+    return Entry(1, 0, 4, 4, writes=tuple(Write(i, msgspec.Raw(data)) for i, data in writes))
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def closing(**values: Any) -> Closing:
 )
 def test_what_no_program_can_write_is_refused_from_the_network(values: dict[str, Any]) -> None:
     layout = Layout(SHARED, 3)
-    assert layout.read(closing(**values)) is None
+    assert layout.read(entry(**values)) is None
 
 
 def test_what_a_program_wrote_is_read() -> None:
@@ -101,5 +101,5 @@ def test_what_a_program_wrote_is_read() -> None:
         "map": GridMap(1.0, 0, 0, 4, 4, b"\3\1\0\0"),
         "tasks": (Task("a", Point(1, 2, 3)),),
     }
-    written = Closing(1, 0, 4, 4, lock=0, writes=layout.written(values)[0])
+    written = Entry(1, 0, 4, 4, lock=0, writes=layout.written(values)[0])
     assert layout.read(written) == list(enumerate(values.values()))

@@ -14,7 +14,7 @@ from koordgen.lang.semantics.property import holds_assumption
 from koordgen.lang.semantics.state import State, Store
 from koordgen.lang.semantics.step import execute, initial, round_, run_init, select, sense
 from koordgen.runtime.net.network import Conditions
-from koordgen.runtime.replication.outcome import winner
+from koordgen.runtime.replication.apply import winner
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed
 from tests.agree.both import Generated

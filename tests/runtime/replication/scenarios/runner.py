@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from textwrap import shorten
 
-from tests.runtime.replication.core import KINDS, SLOTS, STORE, Event, Fleet, Sent, Violation
+from tests.runtime.replication.core import KINDS, STORE, TICKS, Event, Fleet, Sent, Violation
 from tests.runtime.replication.scenarios.network import ROUNDS_OF_TALK, Link, Network
 
 FOLDER = Path(__file__).parent
@@ -215,14 +215,14 @@ class Scenario:
 
     def round(self, words: list[str]) -> None:
         rounds = number(words[0]) if words else 1
-        end = (self.slot // SLOTS + rounds) * SLOTS
+        end = (self.slot // TICKS + rounds) * TICKS
         self.tick(end - self.slot)
 
     def until(self, words: list[str]) -> None:
         """Go on to the beginning of a round."""
-        begins = (number(words[0]) - 1) * SLOTS if words else 0
+        begins = (number(words[0]) - 1) * TICKS if words else 0
         if begins < self.slot:
-            raise Failure(f"expected `until ROUND`, a later round than {self.slot // SLOTS + 1}")
+            raise Failure(f"expected `until ROUND`, a later round than {self.slot // TICKS + 1}")
         self.tick(begins - self.slot)
 
     def deliver(self, words: list[str]) -> None:

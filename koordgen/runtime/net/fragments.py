@@ -1,0 +1,85 @@
+"""Fragments: what is longer than a datagram is cut, and reassembled in whatever order the fragments arrive.
+
+A receiver that lacks some fragments reports which ones it has, so only the others are repeated. Nothing that a peer
+sends raises, or makes a robot keep more than MOST_FRAGMENTS fragments of at most LIMIT bytes for one blob.
+"""
+
+from __future__ import annotations
+
+from hashlib import blake2s
+
+from koordgen.runtime.net.wire import LIMIT, MOST_FRAGMENTS
+
+Cut = tuple[bytes, int, int, bytes]  # the blob's digest, the fragment's number, how many there are, its data
+
+
+def digest(blob: bytes) -> bytes:
+    """Eight bytes that name a blob."""
+    return blake2s(blob, digest_size=8, person=b"k-piece").digest()
+
+
+def cut(blob: bytes, room: int) -> list[Cut]:
+    """Return a blob in fragments of `room` bytes, the last one shorter.
+
+    Raises ValueError for an empty blob and for too many fragments.
+    """
+    count = -(-len(blob) // room)
+    if not 1 <= count <= MOST_FRAGMENTS or room > LIMIT:
+        raise ValueError(f"{len(blob)} bytes do not go into 1 to {MOST_FRAGMENTS} fragments of {room} bytes")
+    name = digest(blob)
+    return [(name, i, count, blob[i * room : (i + 1) * room]) for i in range(count)]
+
+
+def lacking(count: int, mask: bytes) -> list[int]:
+    """The numbers of the fragments that are not in a mask (bit i of byte i // 8: fragment i), ascending. A mask may be
+    shorter than `count`, or longer."""
+    held = int.from_bytes(mask, "little")
+    return [i for i in range(count) if not held >> i & 1]
+
+
+class Reassembly:
+    """The fragments of one blob as they come. The first one says what it is; others that do not go with it are refused.
+    All fragments but the last have one length, the last has at most that."""
+
+    def __init__(self, name: bytes, count: int) -> None:
+        self.name = name
+        self.count = count
+        self._room = 0  # the length of all fragments but the last; 0 until one of them is here
+        self._parts: dict[int, bytes] = {}
+
+    def take(self, fragment: Cut) -> str | None:
+        """Take a fragment; None, or why it is refused. A known one is no news, no error."""
+        name, index, count, data = fragment
+        if name != self.name or count != self.count:
+            return "fragment of something else"
+        if not 0 <= index < count <= MOST_FRAGMENTS or not 0 < len(data) <= LIMIT or not self._even(index, len(data)):
+            return "fragment does not fit"
+        if index not in self._parts:
+            self._parts[index] = bytes(data)
+            if index < count - 1:
+                self._room = len(data)
+        return None
+
+    def blob(self) -> bytes | None:
+        """The whole, once all fragments are here; if it is not what the digest says, they are dropped."""
+        if len(self._parts) < self.count or not self._parts:
+            return None
+        whole = b"".join(self._parts[i] for i in range(self.count))
+        if digest(whole) == self.name:
+            return whole
+        self._parts.clear()
+        self._room = 0
+        return None
+
+    @property
+    def mask(self) -> bytes:
+        """Which fragments are here, as `lacking` reads it."""
+        held = sum(1 << i for i in self._parts)
+        return held.to_bytes((held.bit_length() + 7) // 8, "little")
+
+    def _even(self, index: int, length: int) -> bool:
+        """Whether a fragment's length goes with those that are here."""
+        if index == self.count - 1:
+            return not self._room or length <= self._room
+        last = self._parts.get(self.count - 1, b"")
+        return length == self._room if self._room else length >= len(last)

@@ -1,0 +1,65 @@
+"""Apply the entries of one round to the shared store: lock arbitration and merge, equal on all robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from koordgen.runtime.net.layout import Layout, Unpatched
+from koordgen.runtime.replication.log import Logged
+
+Store = Mapping[str, Any]
+
+
+def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
+    """Return the robot whose commit counts among those that contend for a lock in a round.
+
+    Priority rotates every round, so no robot starves.
+    """
+    return min(contenders, key=lambda pid: (pid - round_ - lock) % n_sys)
+
+
+def arbitrate(entries: Sequence[Logged], round_: int, n_sys: int) -> tuple[list[Logged], list[Logged]]:
+    """Return the commits of a round that count, one for each lock, and the plain entries."""
+    contenders: dict[int, list[int]] = {}
+    for logged in entries:
+        if logged.entry.lock >= 0:
+            contenders.setdefault(logged.entry.lock, []).append(logged.entry.author)
+    winners = {winner(pids, lock, round_, n_sys) for lock, pids in contenders.items()}
+    commits = [e for e in entries if e.entry.lock >= 0 and e.entry.author in winners]
+    return commits, [e for e in entries if e.entry.lock < 0]
+
+
+def merge(layout: Layout, entries: Sequence[Logged], shared: Store, acted: list[int]) -> tuple[Store, list[int], int]:
+    """Return the store with the writes of these entries, in their order.
+
+    Also returned: for each robot the last round in which an event of it counted, as a new list if one of them changes;
+    and the number of patches that fit no value, which every robot ignores alike.
+    """
+    before, after, unfit = acted, acted, 0
+    is_slots = layout.is_slots
+    changed: dict[int, Any] = {}
+    for logged in entries:
+        entry = logged.entry
+        author = entry.author
+        if entry.acted:
+            if after is before:
+                after = after.copy()
+            after[author] = entry.round
+        for index, item in logged.values:
+            if type(item) is Unpatched:
+                item = layout.resolve(index, item, layout.base(index, shared, author))
+                if item is None:
+                    unfit += 1
+                    continue
+            if is_slots[index]:
+                slots = changed.get(index)
+                if slots is None:
+                    slots = changed[index] = list(shared[layout.names[index]])
+                slots[author] = item
+            else:
+                changed[index] = item
+    if not changed:
+        return shared, after, unfit
+    written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
+    return {**shared, **written}, after, unfit

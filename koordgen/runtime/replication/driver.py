@@ -1,0 +1,67 @@
+"""Driver of a replica: hands it messages and ticks, and carries out what it asks for.
+
+This is the only place that persists and sends, always in this order: a robot never says what a restart could make
+untrue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from koordgen.runtime.net.link import Link
+from koordgen.runtime.net.wire import ReplicaMessage, RoundMessage
+from koordgen.runtime.replication.messages import HardState
+from koordgen.runtime.replication.replica import Replica
+
+
+class Driver:
+    """`persist` writes a hard state, `persist_private` the robot's own variables after an event; both return once that
+    survives the end of the process."""
+
+    def __init__(
+        self,
+        replica: Replica,
+        link: Link,
+        persist: Callable[[HardState], None],
+        persist_private: Callable[[Any], None],
+    ) -> None:
+        self.replica = replica
+        self._link, self._codec = link, link.speech
+        self._persist, self.persist_private = persist, persist_private
+
+    def receive(self, messages: Sequence[ReplicaMessage]) -> None:
+        """Hand over messages that arrived, and apply the rounds that they complete."""
+        step = self.replica.step
+        for message in messages:
+            step(message)
+        self.replica.apply_rounds()
+        self.flush()
+
+    def tick(self, tick: int) -> None:
+        """See Replica.tick."""
+        self.replica.tick(tick)
+        self.run()
+
+    def run(self) -> None:
+        """Persist and send, then apply what is complete: other robots may wait for the messages."""
+        self.flush()
+        if self.replica.apply_rounds():
+            self.flush()
+
+    def flush(self) -> None:
+        """Persist what must be, then send."""
+        ready = self.replica.ready()
+        if ready.private is not None:
+            self.persist_private(ready.private)
+        if ready.persist is not None:
+            self._persist(ready.persist)
+        for send in ready.send:
+            if send.kind is RoundMessage:
+                self._codec.round(send.to, send.fields, send.received)
+            else:
+                self._codec.say(send.to, send.kind, *send.fields)
+        for reason in ready.rejected:
+            self._link.reject(reason)
+        for pid in ready.requested:
+            self._link.metrics.repeated(pid)

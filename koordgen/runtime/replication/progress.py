@@ -1,0 +1,71 @@
+"""Progress of the peers, as each reported it last: what it has applied, and what it lacks. The commit index follows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from koordgen.runtime.net.wire import HeldFragments, View
+
+LONG_AGO = -(2**62)  # a tick
+
+
+def majority(n_sys: int) -> int:
+    """Return the size of the smallest majority."""
+    return n_sys // 2 + 1
+
+
+@dataclass(slots=True)
+class Progress:
+    """One peer.
+
+    Its reports only move forward: (view, applied) never decreases within an incarnation.
+    """
+
+    heard: int = LONG_AGO  # the tick at which a message of the peer arrived last
+    view: int = -1  # the view of its last report; -1: none since it was admitted
+    applied: int = 0  # the last round that it has reported as applied in that view
+    wanted: int = 0  # the last round that it wanted entries of
+    lacks: bool = False  # it lacks entries up to `wanted`, and they were not sent to it since it said so
+    held: Sequence[int] = ()  # then: of each robot, the last round that it holds; empty: `applied` for all
+    informed: int = -1  # the tick at which it was last sent the present view
+    asked_to_join: int = LONG_AGO  # the tick at which it last asked to be admitted
+    received: Mapping[int, HeldFragments] = field(
+        default_factory=dict
+    )  # by author: fragments of the next entry that it has
+
+    def reset(self) -> None:
+        """Forget the reports: the peer is no member any more, or has a new incarnation."""
+        self.view, self.applied, self.wanted, self.lacks = -1, 0, 0, False
+
+    def report(self, view: int, applied: int, held: Sequence[int], wanted: int, again: bool) -> bool:
+        """Note a report. Return whether the peer has applied more.
+
+        `held`: of each robot, the last round that the peer holds; empty: `applied` for all. `wanted`: the last round
+        that the peer needs entries of. `again`: it asks for them although it has asked before.
+        """
+        moved = view >= self.view and applied >= self.applied and (applied > self.applied or view > self.view)
+        if moved:
+            self.view, self.applied = view, applied
+        if wanted > self.wanted or (again and wanted == self.wanted):
+            self.wanted = wanted
+            self.held, self.lacks = held, (min(held) if held else applied) < wanted
+        return moved
+
+    def holds(self, author: int) -> int:
+        """Return the last round up to which the peer holds the entries of a robot."""
+        return self.held[author] if self.held else self.applied
+
+
+def commit_index(peers: Collection[Progress], view: View, applied: int) -> int:
+    """Return the last round that no later view can leave out.
+
+    That is a round that a majority has reported as applied in `view`, this robot included, or one before `view` began.
+    Invariant: the result is at most `applied`.
+    """
+    needed = majority(len(peers) + 1) - 1  # reports of others
+    if needed == 0:
+        return applied
+    number = view.number
+    reported = sorted([p.applied if p.view == number else -1 for p in peers])
+    return min(applied, max(view.since - 1, reported[-needed]))

@@ -1,0 +1,101 @@
+"""Rejoin and state transfer: how a robot that is no member, or has lost the store, comes back.
+
+1. It asks all robots to admit it (Want with incarnation -1). A view change gives it a new incarnation.
+2. It closes its rounds with silent entries, so that no other robot waits for it.
+3. It fetches a snapshot of the store, fragment by fragment, from one member at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from koordgen.runtime.net.fragments import Reassembly, cut, lacking
+from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View, encoder, snapshot_of
+from koordgen.runtime.replication.messages import Send
+
+PATIENCE = 5  # ticks without a new fragment, then another member is asked
+MOST_AT_ONCE = 16  # fragments for one request
+SNAPSHOTS = 2  # kept in fragments for robots that have begun to fetch them
+
+
+@dataclass(slots=True)
+class Rejoin:
+    """The robot that comes back.
+
+    `since`: the number of the view that it knew when it fell out. `fragments`: those of the snapshot after `round`
+    that are here, from the member number `source`. `arrived`: the tick of the last new fragment, or of the last
+    change of the source. `silent`: the rounds closed since then, without events.
+    """
+
+    pid: int
+    since: int
+    fragments: Reassembly | None = None
+    round: int = 0
+    source: int = 0
+    arrived: int = 0
+    silent: Entry | None = None
+
+    def incarnation(self, view: View) -> int:
+        """Return the incarnation under which the robot is a member again; -1: it is not yet."""
+        own = view.members[self.pid]
+        return own if own > self.since else -1
+
+    def silence(self, round_: int, view: View) -> Entry | None:
+        """Return the entry that closes all rounds up to `round_`, in which the robot does nothing."""
+        incarnation = self.incarnation(view)
+        if incarnation < 0 or round_ < view.since:
+            return None
+        first = self.silent.first if self.silent is not None else view.since
+        self.silent = Entry(self.pid, incarnation, first, round_)
+        return self.silent
+
+    def poll(self, tick: int, view: View) -> list[Send]:
+        """Ask to be admitted, or for the fragments of the snapshot that are missing."""
+        others = [p for p in range(len(view.members)) if p != self.pid]
+        incarnation = self.incarnation(view)
+        if incarnation < 0:
+            return [Send(others, RejoinRequest, (view.number, -1, 0, b"", b""))]
+        members = [p for p in others if view.members[p] >= 0]
+        if tick - self.arrived > PATIENCE:
+            self.arrived, self.source, self.fragments = tick, self.source + 1, None
+        if not members:
+            return []
+        known = self.fragments
+        place = (0, b"", b"") if known is None else (self.round, known.name, known.mask)
+        return [Send([members[self.source % len(members)]], RejoinRequest, (view.number, incarnation, *place))]
+
+    def step(self, fragment: SnapshotFragment, tick: int) -> Snapshot | str | None:
+        """Take a fragment. Return the snapshot once it is complete, or why the fragment is refused."""
+        if self.fragments is None:
+            self.fragments, self.round = Reassembly(fragment.digest, fragment.count), fragment.round
+        refused = self.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
+        if refused is not None:
+            return refused
+        self.arrived = tick
+        blob = self.fragments.blob()
+        if blob is None:
+            return None
+        self.fragments = None
+        return snapshot_of(blob) or "store does not fit"
+
+
+class Snapshots:
+    """The members that help it: encoded snapshots in fragments of `room` bytes."""
+
+    def __init__(self, room: int) -> None:
+        self._room = room
+        self._kept: list[tuple[int, list[tuple[bytes, int, int, bytes]]]] = []
+
+    def answer(self, sender: int, want: RejoinRequest, applied: int, take: Callable[[], Snapshot]) -> list[Send]:
+        """Return the fragments that `sender` lacks, of the snapshot that it has begun to fetch.
+
+        If that is not kept, or it has none, they are of the present store, which contains all rounds up to `applied`;
+        `take` is called for that one only if there is no snapshot of it yet.
+        """
+        known = [k for k in self._kept if k[0] == want.round and k[1][0][0] == want.digest]
+        if not known and (not self._kept or self._kept[-1][0] != applied):
+            self._kept = [*self._kept[1 - SNAPSHOTS :], (applied, cut(encoder.encode(take()), self._room))]
+        round_, fragments = known[0] if known else self._kept[-1]
+        wanted: Sequence[int] = lacking(len(fragments), want.mask if known else b"")
+        return [Send((sender,), SnapshotFragment, (round_, *fragments[index])) for index in wanted[:MOST_AT_ONCE]]

@@ -1,0 +1,295 @@
+"""Replicated state machine: one robot's copy of the shared store, and the logs of all robots that it is made from.
+
+S_r is the store at the beginning of round r. S_1 is made of initial values and everyone's `init`; S_{r+1} is S_r with
+the entries of round r applied, of the robots that are members in it: first one commit for each lock, then the plain
+writes by ascending pid. So two robots that have applied the same rounds have equal stores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.wire import Entry, Snapshot, View
+from koordgen.runtime.replication.apply import Store, arbitrate, merge
+from koordgen.runtime.replication.log import Log, Logged
+from koordgen.runtime.replication.schedule import Schedule
+
+AHEAD = 8  # rounds that a peer's clock may be ahead of ours
+DROP_EVERY = 4  # rounds: to go through all logs costs more than to keep some entries a little longer
+WINDOW = 256  # entries of one author that not every member holds; beyond that, the author runs no more events
+NO_INCARNATION = -2  # equals the incarnation of no entry and of no robot
+MOST_PAST = 16  # stores kept before those that cannot be needed any more are dropped
+
+
+class StateMachine:
+    """One robot's copy of the store, and the logs.
+
+    Invariant: settled <= committed <= applied <= held by this robot of its own entries.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        pid: int,
+        view: View,
+        shared: Store,
+        applied: int = 0,
+        stopped: Mapping[int, int] | None = None,
+        acted: Sequence[int] = (),
+    ) -> None:
+        self._layout = layout
+        self._pid = pid
+        self._n = layout.n_sys
+        self._schedule = Schedule(view)
+        self.view = view  # the latest view
+        self.logs = [Log(applied) for _ in range(self._n)]
+        self.applied = applied  # `shared` contains all rounds up to this one: it is S_{applied + 1}
+        self.committed = min(applied, view.since - 1)  # no later view can leave out a round up to this one
+        self.settled = 0  # every member holds all entries up to this round
+        self.arrived = [0] * self._n  # of each robot, the round in which a new entry of it arrived last
+        self.lacking = 0  # members whose entry of round applied + 1 is not here
+        self._incarnations: Sequence[int] = ()  # those that entries are compared with
+        self.is_frozen = False  # no round at or after the beginning of the latest view may be applied
+        self.shared = shared
+        self.stopped = dict(stopped or {})  # pid -> the round in which the robot stopped
+        self.acted = list(acted) or [0] * self._n  # of each robot, the last round in which an event of it counted
+        self.won = 0  # the last round in which a commit of this robot counted
+        self.awaiting: tuple[int, ...] = ()  # robots that wait to hear that the last applied round was applied
+        self.unfit = 0  # patches that fitted no value: a fault of their author, ignored by all robots alike
+        self._past = [(applied, shared, self.acted)]  # stores that a view change may have to go back to
+        self._dropped = 0  # settled entries were dropped up to this round
+        self._update()
+
+    @classmethod
+    def begin(cls, layout: Layout, pid: int, view: View, inits: Sequence[Entry]) -> StateMachine:
+        """Return the store of round 1, from the round-0 entries of all robots, which `layout` has read before."""
+        state = cls(layout, pid, view, layout.initial())
+        state._apply([Logged(e, layout.read(e) or ()) for e in sorted(inits, key=lambda e: e.author)], 0)
+        state._past = [(0, state.shared, state.acted)]
+        return state
+
+    @classmethod
+    def from_snapshot(cls, layout: Layout, pid: int, snapshot: Snapshot) -> StateMachine | None:
+        """Return the store in a snapshot; None if it does not fit the program."""
+        n = layout.n_sys
+        shared = layout.unpack(snapshot.values)
+        if shared is None or not len(snapshot.stopped) == len(snapshot.acted) == len(snapshot.view.members) == n:
+            return None
+        stopped = {p: r for p, r in enumerate(snapshot.stopped) if r >= 0}
+        return cls(layout, pid, snapshot.view, shared, snapshot.applied, stopped, snapshot.acted)
+
+    def snapshot(self) -> Snapshot:
+        """Return the store for a robot that rejoins."""
+        stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
+        return Snapshot(self._schedule.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
+
+    # Queries.
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Of each robot, the last round up to which its entries are held without a gap."""
+        return tuple([log.held for log in self.logs])
+
+    @property
+    def is_full(self) -> bool:
+        """True if this robot must run no more events, because others lag too far behind to be sent more entries."""
+        log = self.logs[self._pid]
+        return log.held - self.settled > WINDOW // 2 and len(log.kept) >= WINDOW
+
+    @property
+    def all_stopped(self) -> int | None:
+        """The round by which every member had stopped, as far as rounds are applied; None if some have not."""
+        rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
+        return None if None in rounds else max(r for r in rounds if r is not None)
+
+    def missing(self, through: int) -> list[int]:
+        """Return the members whose entries up to round `through` are not all held."""
+        if through <= self.applied and self._schedule.is_single:
+            return []
+        members = self.view.members
+        return [p for p, log in enumerate(self.logs) if log.held < through and members[p] >= 0]
+
+    def own(self, first: int) -> list[Entry]:
+        """Return the own entries from round `first` on."""
+        log = self.logs[self._pid]
+        return log.between(first, log.held)
+
+    # Entries.
+
+    def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
+              awaits_commit: bool = False, lock: int = -1) -> Entry:  # fmt: skip
+        """Append the own entry of a round, in which an event wrote `shared`, and return it.
+
+        `lock` is -1 for a plain event. Earlier rounds without an entry get a silent one.
+        """
+        pid = self._pid
+        log, first = self.logs[pid], self.logs[pid].held + 1
+        if (shared or acted or lock >= 0) and first < round_:
+            self.close(round_ - 1, {}, stopped=stopped)
+            first = round_
+        writes, values = self._layout.written(shared, self.shared, pid) if shared else ((), ())
+        entry = Entry(pid, self.view.members[pid], first, round_, stopped, acted, awaits_commit, lock, writes)
+        log.append(entry, values or ())
+        self._note_held(pid, first - 1)
+        return entry
+
+    def append(self, entry: Entry, round_: int) -> str | None:
+        """Append another robot's entry, which arrived in round `round_`. Return why it is refused, or None.
+
+        A known entry is no error.
+        """
+        author, last = entry.author, entry.round
+        if author >= self._n:
+            return "entry does not fit"
+        log = self.logs[author]
+        held = log.held
+        if last <= held:
+            return None
+        if not 1 <= entry.first <= last:
+            return "entry does not fit"
+        if last > round_ + AHEAD:
+            return "entry too far ahead"
+        if self._incarnations[author] != entry.incarnation:
+            part = self._schedule.valid_part(entry)
+            if part is None:
+                return "entry of another view"
+            if part.round <= held:
+                return None
+            entry = part
+        if author == self._pid:
+            return "entry of ours that we did not write"
+        values = self._layout.read(entry)
+        if values is None:
+            return "entry does not fit"
+        if len(log.kept) >= 2 * WINDOW or not log.has_room(entry.first):
+            return "no room for an entry"
+        log.append(entry, values)
+        if log.held > held:
+            self.arrived[author] = round_
+            self._note_held(author, held)
+        return None
+
+    def _note_held(self, author: int, before: int) -> None:
+        """Count one entry less that is lacking, if the author's entries reach beyond `applied` now and did not."""
+        if before <= self.applied < self.logs[author].held and self._schedule.first.members[author] >= 0:
+            self.lacking -= 1
+
+    def settle(self, through: int) -> None:
+        """Note that every member holds all entries up to a round. They are dropped sooner or later."""
+        if through > self.settled:
+            self.settled = through
+            if through >= self._dropped + DROP_EVERY:
+                self._dropped = through
+                for log in self.logs:
+                    log.drop(through)
+
+    # Rounds.
+
+    def apply_rounds(self) -> bool:
+        """Apply rounds as long as all their entries are here. Return whether there was one."""
+        before = self.applied
+        while not self.lacking and not (self.is_frozen and self.applied >= self.view.since - 1):
+            round_ = self.applied + 1
+            entries = [self.logs[p].at(round_) for p in self._schedule.members]
+            through = round_
+            if not entries[0].entry.acted and not any(e.is_single for e in entries):  # silent rounds, all at once
+                through = min(self._schedule.end(round_), min([e.entry.round for e in entries]))
+            self._apply(entries, through)
+        return self.applied > before
+
+    def _apply(self, entries: Sequence[Logged], through: int) -> None:
+        """Apply one entry of each member, by ascending pid, up to round `through`.
+
+        Commits come first, then plain writes: the plain write of the highest pid wins, also over a commit.
+        """
+        awaiting: list[int] = []
+        stopping: list[Entry] = []
+        contended = False
+        for logged in entries:
+            entry = logged.entry
+            if entry.awaits_commit and entry.round == through:
+                awaiting.append(entry.author)
+            if entry.lock >= 0:
+                contended = True
+            if entry.stopped:
+                stopping.append(entry)
+        self.awaiting = tuple(awaiting)
+        if contended:
+            commits, plain = arbitrate(entries, through, self._n)
+            if any(e.entry.author == self._pid for e in commits):
+                self.won = through
+            entries = [*commits, *plain]
+        shared, acted, unfit = merge(self._layout, entries, self.shared, self.acted)
+        self.unfit += unfit
+        for entry in stopping:
+            self.stopped.setdefault(entry.author, max(entry.first, self.applied + 1) if through else 0)
+        self.applied = through
+        if shared is not self.shared or acted is not self.acted:
+            self.shared, self.acted = shared, acted
+            self._keep_past()
+        self._update()
+
+    def _keep_past(self) -> None:
+        """Keep the present store, and drop those before the last committed one."""
+        past = self._past
+        if len(past) >= MOST_PAST:
+            for index in range(len(past) - 1, 0, -1):
+                if past[index][0] <= self.committed:
+                    del past[:index]
+                    break
+        past.append((self.applied, self.shared, self.acted))
+
+    def _update(self) -> None:
+        """Update what depends on the applied round and on the view."""
+        if not self._schedule.is_single:
+            self._schedule.skip_absences(self.logs)
+            self._schedule.drop(self.applied)
+        # While several views are scheduled, `valid_part` must look at each entry.
+        self._incarnations = self.view.members if self._schedule.is_single else (NO_INCARNATION,) * self._n
+        self._count()
+
+    def _count(self) -> None:
+        logs, applied = self.logs, self.applied
+        self.lacking = len([p for p in self._schedule.members if logs[p].held <= applied])
+
+    # Views.
+
+    def adopt(self, view: View) -> None:
+        """Go by the next view. Entries of robots that are no members any more, or have a new incarnation, are dropped
+        from its beginning on."""
+        self._truncate(view)
+        self._schedule.append(view)
+        self.view = view
+        self.is_frozen = False
+        self._update()
+
+    def rewind(self, view: View) -> bool:
+        """Go by the next view, and back to the store with which it begins. Return False if that is not known any more.
+
+        That is for a robot that has applied more than the majority. Its events since then do not count.
+        """
+        last = view.since - 1
+        found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)
+        if found is None or self.applied < last:
+            return False
+        self._truncate(view)
+        for log in self.logs:
+            log.skip(last)
+        self._schedule, self.view = Schedule(view), view
+        self.is_frozen = False
+        self.shared, self.acted = found
+        self.applied = last
+        self.committed = min(self.committed, last)
+        self.settled = min(self.settled, last)
+        self.stopped = {p: r for p, r in self.stopped.items() if r <= last}
+        self.won, self.awaiting = 0, ()
+        self._past = [(last, *found)]
+        self._update()
+        return True
+
+    def _truncate(self, view: View) -> None:
+        for log, old, new in zip(self.logs, self.view.members, view.members, strict=True):
+            if old != new:
+                log.truncate(view.since - 1)
