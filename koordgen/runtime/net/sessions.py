@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
-_FULL = (1 << REPLAY_WINDOW) - 1
 
 
 @dataclass(slots=True)
 class PeerSession:
     """State of one boot of one peer, from its adoption on.
 
-    `newest` is the highest sequence number received. Bit i of `seen` tells whether `newest - i` was received or must
-    not be received any more: at adoption all bits are set, so nothing up to that number, perhaps recorded, counts.
-    `sent` is the latest stamp received in microseconds of the peer's clock (-1: none), `arrived` when it arrived here,
-    and `round` the highest round that the peer reported. From local time `due` (seconds) on the fleet clock wants
-    another exchange.
+    `newest` is the highest sequence number received. `skipped` are lower ones that were not received and still may be:
+    those up to `newest` at the adoption, perhaps recorded, never count. `sent` is the latest stamp received in
+    microseconds of the peer's clock (-1: none), `arrived` when it arrived here, and `round` the highest round that the
+    peer reported. From local time `due` (seconds) on the fleet clock wants another exchange.
     """
 
     boot: bytes
@@ -26,17 +24,22 @@ class PeerSession:
     arrived: int = 0
     round: int = 0
     due: float = -math.inf
-    seen: int = _FULL
+    skipped: set[int] = field(default_factory=set)
 
     def accept(self, sequence: int) -> bool:
         """Record a sequence number. False if it was recorded before, or is REPLAY_WINDOW or more behind the newest."""
-        ahead = sequence - self.newest
-        if ahead > 0:
-            self.seen = (self.seen << ahead & _FULL) | 1 if ahead < REPLAY_WINDOW else 1
+        newest, skipped = self.newest, self.skipped
+        if sequence == newest + 1:  # nearly always
             self.newest = sequence
             return True
-        bit = 1 << -ahead if ahead > -REPLAY_WINDOW else 0
-        if not bit or self.seen & bit:
-            return False
-        self.seen |= bit
+        if sequence <= newest:
+            if sequence not in skipped or sequence <= newest - REPLAY_WINDOW:
+                return False
+            skipped.remove(sequence)
+            return True
+        oldest = sequence - REPLAY_WINDOW + 1
+        if len(skipped) > REPLAY_WINDOW:
+            skipped.difference_update([number for number in skipped if number < oldest])
+        skipped.update(range(max(newest + 1, oldest), sequence))
+        self.newest = sequence
         return True
