@@ -26,7 +26,7 @@ from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Entry, Hello
+from koordgen.runtime.net.wire import Entry
 from koordgen.runtime.ops.opening import open_transport
 from koordgen.runtime.program.program import Life
 from koordgen.runtime.replication.driver import Driver
@@ -86,7 +86,7 @@ def _speak(link: Link, pids: Collection[int]) -> set[int]:
 
 def _receive(driver: Driver, link: Link) -> None:
     """Hand what has arrived to the replica."""
-    driver.receive([message for message in link.receive() if not isinstance(message, Hello)])
+    driver.receive(link.receive())
 
 
 class Update:

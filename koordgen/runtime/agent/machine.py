@@ -22,7 +22,7 @@ from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Entry, Hello, Message, encoder
+from koordgen.runtime.net.wire import Entry, encoder
 from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
 from koordgen.runtime.program.program import Fault, Life, Program
@@ -197,8 +197,8 @@ class Agent:
         if rounds is None:
             return min(wake, self._join(now))
         # All others wait for the entry of a ripe round; after it there is time to let more of theirs come.
-        if not rounds.ripe(now) and (messages := self._link.receive()):
-            self._hear(messages, None)
+        if not rounds.ripe(now):
+            self._receive(None)
         due = self._poll_rounds(rounds, now)
         calm = rounds.calm
         if calm:
@@ -213,7 +213,7 @@ class Agent:
     def _join(self, now: float) -> float:
         """Before the rounds: hear who is there, and begin them when it is time."""
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
-        self._hear(self._link.receive(), fleet)
+        self._receive(fleet)
         if inside := self._joining.inside:
             self._link.keep_time(min(inside), now)  # who keeps the time is not known before the view
         if self.phase not in ("starting", "joining"):
@@ -227,13 +227,13 @@ class Agent:
         self._begin_rounds(now)
         return wake
 
-    def _hear(self, messages: Sequence[Message], fleet: float | None) -> None:
-        """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
-        for message in messages:
-            if isinstance(message, Hello):
-                self._joining.take(message, fleet)
-        if self._rounds is not None:
-            self._rounds.receive([message for message in messages if not isinstance(message, Hello)])
+    def _receive(self, fleet: float | None) -> None:
+        """Handle what has arrived. `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
+        messages = self._link.receive()
+        for hello in self._link.take_hellos():
+            self._joining.take(hello, fleet)
+        if messages and self._rounds is not None:
+            self._rounds.receive(messages)
         if names := self._joining.began_anew():
             self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
 

@@ -16,7 +16,7 @@ from koordgen.runtime.net.metrics import Arrival, Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Head, Hello, Message, RoundMessage, decoder
+from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage, decoder
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
@@ -56,6 +56,7 @@ class Link:
         self.rejected: dict[str, int] = {}
         self.sessions: dict[int, PeerSession] = {}
         self.strangers: set[int] = set()
+        self._hellos: list[Hello] = []
         self._names = [p.name for p in settings.peers]
         self._application = settings.application_id
         self._interface = bytes.fromhex(program.interface_hash)
@@ -88,20 +89,20 @@ class Link:
             if reference in self.sessions:
                 self.sessions[reference].due = -math.inf
 
-    def receive(self) -> list[Message]:
-        """Return the messages that arrived and are admitted, in their order.
+    def receive(self) -> list[ReplicaMessage]:
+        """Return the messages for the replica that arrived and are admitted, in their order.
 
-        A Hello of a boot that was not adopted is among them, and has changed nothing: `joining` judges it.
+        Each Hello waits for `take_hellos` instead.
         """
         datagrams = self._transport.receive()
         return self._admitted(datagrams) if datagrams else []
 
-    def _admitted(self, datagrams: Sequence[bytes]) -> list[Message]:
-        """Return the messages that are admitted; record replay window, clock stamps and figures of each."""
+    def _admitted(self, datagrams: Sequence[bytes]) -> list[ReplicaMessage]:
+        """Return what `receive` does; record replay window, clock stamps and figures of each message."""
         local = self._clock.now()  # all of them have arrived by now
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
         arrived, decode, sessions, mission = microseconds(local), self._decode, self.sessions, self._mission
-        admitted: list[Message] = []
+        admitted: list[ReplicaMessage] = []
         arrivals: list[Arrival] = []
         exchanges: dict[int, _Exchange] = {}
         for datagram in datagrams:
@@ -111,7 +112,7 @@ class Link:
                 continue
             head = message.head
             session = sessions.get(head.pid)
-            if session is None or session.boot != head.boot:
+            if session is not None and session.boot != head.boot:
                 session = None
             ours = (head.application, head.interface, head.program, head.epoch) == mission
             if session is None or not ours or isinstance(message, Hello):
@@ -119,13 +120,15 @@ class Link:
                 if reason is not None:
                     self.reject(reason)
                     continue
-                if session is None:
-                    admitted.append(message)
-                    continue
-            if not session.accept(head.sequence):
+            if session is not None and not session.accept(head.sequence):
                 self.reject("replayed")
                 continue
-            admitted.append(message)
+            if isinstance(message, Hello):
+                self._hellos.append(message)
+            else:
+                admitted.append(message)
+            if session is None:
+                continue
             if head.sent > session.sent:
                 session.sent, session.arrived = head.sent, arrived
             if head.echoes and local >= session.due and (exchange := self._exchange(head)) is not None:
@@ -139,6 +142,11 @@ class Link:
         if exchanges:
             self._learn(exchanges, local)
         return admitted
+
+    def take_hellos(self) -> list[Hello]:
+        """Return those that `receive` has found. One of a boot that was not adopted has changed nothing."""
+        hellos, self._hellos = self._hellos, []
+        return hellos
 
     def adopt(self, hello: Hello) -> None:
         """Begin a session with the peer's boot that sent this Hello; an earlier boot counts no more."""

@@ -89,7 +89,8 @@ class Ear:
     def hear(self, *datagrams: bytes) -> list[Message]:
         """Return the messages that are admitted of these."""
         self.waiting = datagrams
-        return self.link.receive()
+        found = self.link.receive()
+        return [*self.link.take_hellos(), *found]
 
     def state(self) -> Any:
         """Return all that only an admitted datagram may change."""

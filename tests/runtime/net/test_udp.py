@@ -184,13 +184,15 @@ def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("native", IMPLEMENTATIONS)
 def test_waiting_is_finer_than_a_millisecond(native: bool) -> None:
     transport = open_as(settings(0, free_ports(2), UNICAST), native)
-    late = []
-    for _ in range(10):
+
+    def late() -> float:
         start = time.monotonic()
         transport.wait(0.0031)
-        late.append(time.monotonic() - start - 0.0031)
+        return time.monotonic() - start - 0.0031
+
+    # A poll alone would always be 0.9 ms late. On a loaded host nearly all waits are.
+    assert any(late() < 0.0007 for _ in range(2000))
     transport.close()
-    assert min(late) < 0.0007  # a poll alone would always be 0.9 ms late
 
 
 def test_nothing_stays_open_after_a_failure() -> None:
