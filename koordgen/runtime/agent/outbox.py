@@ -1,7 +1,7 @@
-"""What a robot's rounds came to, until it is certain that they count.
+"""Output commit: what rounds have led to waits here until they are committed.
 
-An event's locals are there at once, or when its commit has won. What leaves the robot, its commands, lines and trace,
-waits until the round is stable: nothing that the fleet does not count ever moves a robot.
+An event changes its own robot's variables at once, a transaction when it has won. All that leaves the robot (commands,
+lines, trace) waits until the round is committed: an event that the fleet does not count never moves a robot.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 
 MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
-AHEAD = 3  # rounds beyond the last stable one in which events without outputs may still run
+AHEAD = 3  # rounds beyond the last committed one in which events without outputs may still run
 
 
 @dataclass(slots=True)
@@ -28,8 +28,11 @@ class _Waiting:
 
 
 class Outbox:
-    """In order of the rounds. `lives` are those that may have to be gone back to; the first is certain. `first` is the
-    first round whose outputs wait, None: none do."""
+    """Records of rounds that wait, by ascending round.
+
+    `lives`: those that the robot may have to go back to; the first is committed. `first`: the first round whose outputs
+    wait, or None.
+    """
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
@@ -39,22 +42,25 @@ class Outbox:
 
     @property
     def life(self) -> Life:
-        """The latest one, of which it is not yet certain that it counts."""
+        """The latest life, committed or not."""
         return self.lives[-1]
 
     @property
     def undecided(self) -> bool:
-        """Whether an atomic event waits to hear whether its commit has won."""
+        """True if the result of a transaction is not known yet."""
         return self._commit is not None
 
     @property
     def pressing(self) -> bool:
-        """Whether what waits must be looked at before the next event: it may change this robot's variables, or what it
-        commands, or there is no room for more. All else has time until that event's entry has left."""
+        """True if waiting records must be handled before the next event.
+
+        They may change this robot's variables or its commands, or there is no room for more. Others have time until the
+        event's entry was sent.
+        """
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """A round's record; with the life that its event leads to, if it had one."""
+        """Add a round's record, with the life that its event has led to, if there was one."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
             self._waiting.append(waiting)
@@ -66,7 +72,7 @@ class Outbox:
             self.lives.append(life)
 
     def decide(self, state: StateMachine) -> bool | None:
-        """Whether the commit that was waited for has won; None when there is none, or no news of it."""
+        """Return whether the pending transaction has won; None if there is none, or its result is not known."""
         waiting = self._commit
         if waiting is None or state.applied < waiting.record.round:
             return None
@@ -83,7 +89,7 @@ class Outbox:
         return False
 
     def can_settle(self, state: StateMachine) -> bool:
-        """Whether there is news of what waits."""
+        """Return whether `decide` or `ready` would return something."""
         if not self._waiting:
             return False
         first, commit = self._waiting[0], self._commit
@@ -92,7 +98,7 @@ class Outbox:
         return first.lock < 0 and _is_certain(first.record, state)
 
     def ready(self, state: StateMachine | None) -> list[Record]:
-        """The records that are certain now, in order; without a store those before the first that did something."""
+        """Return the committed records, by ascending round; without a store, those before the first with an event."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
@@ -107,8 +113,10 @@ class Outbox:
         return found
 
     def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
-        """After coming back, when the last event of ours that counts is that of round `acted`: the life to go on with,
-        None when it is not known any more, and all records, now that they are certain."""
+        """End all waiting after a rejoin: the last event of this robot that counts is that of round `acted`.
+
+        Return the life to go on with, or None if it is not known any more, and all records, now that they are decided.
+        """
         proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]  # it may have won after all
         life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
         found = []
@@ -130,7 +138,7 @@ class Outbox:
 
 
 def _is_certain(record: Record, state: StateMachine | None) -> bool:
-    """Whether no view can leave out what was done in a round, or what was seen in it by one who did nothing."""
+    """Return whether no view can leave out what an event wrote, or what an event without effect has read."""
     if record.effects is None and record.frame is None:
         return True
     last = record.round if record.effects is not None else record.round - 1
@@ -138,5 +146,5 @@ def _is_certain(record: Record, state: StateMachine | None) -> bool:
 
 
 def has_outputs(effects: Effects | None) -> bool:
-    """Whether an event did something that leaves the robot."""
+    """Return whether an event has outputs: something that leaves the robot."""
     return effects is not None and bool(effects.actuators or effects.streams or effects.stopped)

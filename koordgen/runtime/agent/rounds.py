@@ -1,8 +1,8 @@
-"""A mission's rounds on one robot: ticks on the fleet's clock, one event or a skip each, one entry to everyone.
+"""Rounds of a mission on one robot: in each, at most one event runs, and one entry is sent to all other robots.
 
-Round r begins at start + (r-1) delta. What a robot lacks then it may still receive until the publish deadline; it
-asks for it, and skips the round when it did not come. Ticks are absolute: a robot that wakes late goes on with the
-present round, and closes those it missed as empty.
+Round r begins at start + (r-1) delta of fleet time. Entries that are missing then may still arrive until the publish
+deadline; the robot requests them, and skips its event if they did not arrive. Ticks are absolute: a robot that wakes
+late goes on with the present round, and closes the rounds that it missed without events.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from koordgen.runtime.trace.writer import Observe, Record
 from koordgen.runtime.vehicle.body import Body, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
-PUBLISH = 0.5  # of delta: when a round's entry leaves at the latest
-PUNCTUAL = 0.5  # of a tick: a robot that wakes so much later than something was due is late
-GATHER = 300e-6  # seconds that the entry of one more robot may take to come after another's
-MOST_GATHER = 0.2  # of a round, for all of them: one of its ticks
-LINGER = 20  # rounds after all have stopped
+PUBLISH = 0.5  # of delta: the publish deadline, when a round's entry is sent at the latest
+PUNCTUAL = 0.5  # of a tick: a robot that wakes later than this after something was due is late
+GATHER = 300e-6  # seconds to wait for each missing entry before the robot handles those that arrived
+MOST_GATHER = 0.2  # of a round: one tick, the limit of that for all entries
+LINGER = 20  # rounds for which a robot serves the others after all have stopped
 
 
 @dataclass(slots=True)
 class _Present:
-    """How far this robot is in the round that is going on."""
+    """Progress of the present round. `open`: its entry was not sent yet."""
 
     open: bool = False
     sensed: Sensed | None = None
     tick: int = -1  # the last tick of the round that was handled
-    acknowledged: bool = False  # the robots that wait for it were told that the round is applied
+    acknowledged: bool = False  # the robots that wait for it know that this one has applied the round
 
 
 class Lost(Exception):
@@ -61,9 +61,12 @@ class Lost(Exception):
 
 
 class Rounds:
-    """`observe` gets the record of each round once it is committed. What `driver` persists of the robot's own is a
-    pair: a life, and the incarnation of the robot that leads it. `leave` makes the robot close its rounds without
-    events from then on."""
+    """One robot's rounds.
+
+    `observe` gets the record of each round once it is committed. The private state that `driver` persists is a pair: a
+    life, and the incarnation of the robot that leads it. `start` is the fleet time of round 1, `delta` the duration of
+    a round, both in seconds.
+    """
 
     def __init__(
         self,
@@ -86,13 +89,13 @@ class Rounds:
         self._start = start
         self._delta = delta
         self._observe = observe
-        self.round = 0  # the present one; 0 before the first
+        self.round = 0  # the present round; 0 before the first
         self._present = _Present()
         self._wake = math.inf  # when there is something to do
         self._policy = self._replica.policy
         self._left = False
         self._handled = 0  # the last applied round that was settled and acknowledged
-        self._restored: Life | None = None  # to be told with the next record
+        self._restored: Life | None = None  # goes into the next record
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
         self._store_changes = self._replica.store_changes
@@ -100,24 +103,24 @@ class Rounds:
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
         self.reason: str | None = None  # why the last round that was closed had no event
-        self.watched = False  # by monitors
-        self.moment: Moment | None = None  # at the start of that round, when it is watched
+        self.watched = False  # monitors want `moment`
+        self.moment: Moment | None = None  # what the robot knew at the beginning of that round
 
     @property
     def lacking(self) -> list[str]:
-        """The names of the robots whose entries are missing for the present round."""
+        """Names of the robots whose entries are missing for the present round."""
         state = self._replica.state
         return [] if state is None else [self._names[p] for p in state.missing(self.round - 1)]
 
     @property
     def over(self) -> bool:
-        """Whether all robots that count have stopped and the linger has passed."""
+        """True if all members have stopped, and LINGER rounds have passed since."""
         state = self._replica.state
         since = None if state is None or not (self.stopped or self._left) else state.all_stopped
         return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
-        """Whether another round has begun for which everything is there: its event may run before anything else."""
+        """Return whether a round has begun for which all entries are here, so its event may run first."""
         state, present = self._replica.state, self._present
         if state is None or present.open or state.applied != self.round or not self.round:
             return False
@@ -125,15 +128,15 @@ class Rounds:
 
     @property
     def calm(self) -> bool:
-        """Whether nothing more is expected in this round: there is time for what can wait."""
+        """True if nothing more is expected in this round, so there is time for work that can wait."""
         state, present = self._replica.state, self._present
         return not present.open and (state is None or state.applied >= self.round or present.tick >= REQUEST_TICK)
 
     @property
     def expects(self) -> tuple[int, float]:
-        """The number of entries that the closed round still lacks, and the seconds that it pays to gather them.
+        """Number of entries that the closed round still lacks, and seconds to gather them.
 
-        To wake for each of many entries alone costs more than all else. If nothing is outstanding: 1, and no time.
+        To wake for each entry alone would cost more than all other work. If no entry is missing: 1, and no time.
         """
         state, at_once = self._replica.state, self._present.open and not self._policy.is_strained(self.round)
         if state is None or at_once or state.applied >= self.round or not state.lacking:
@@ -141,6 +144,7 @@ class Rounds:
         return state.lacking, min(GATHER * state.lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
+        """Run no more events: close all further rounds without one."""
         self._left = True
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
@@ -148,8 +152,11 @@ class Rounds:
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do what is due at local time `now`; returns when to be called again at the latest. `sense` samples the
-        sensors, `unready` says why no event may run. Raises Lost."""
+        """Do what is due at local time `now` (s), and return when to be called again at the latest.
+
+        `sense` samples the sensors at a time. `unready` says why no event may run, as far as the vehicle goes. Raises
+        Lost.
+        """
         elapsed = self._clock.read(now) - self._start
         round_ = math.floor(elapsed / self._delta + 1e-6) + 1
         if round_ < 1:
@@ -223,7 +230,7 @@ class Rounds:
         self.counters.rounds += 1
 
     def _come_back(self, state: StateMachine, now: float) -> None:
-        """Go on where the others say that this robot was, which was out until now."""
+        """Go on from the last event of this robot that the other robots count."""
         self._store_changes = self._replica.store_changes
         acted = state.acted[self._pid]
         life, records = self._outbox.settle(acted)
@@ -243,7 +250,7 @@ class Rounds:
             self._driver.run()
 
     def _settle(self, now: float) -> None:
-        """Do what has become certain."""
+        """Act on events that are committed, and on transactions whose result is known."""
         state, outbox = self._replica.state, self._outbox
         assert state is not None
         won = outbox.decide(state)
@@ -252,7 +259,7 @@ class Rounds:
             self.stopped = self.stopped or outbox.life.stopped
         elif won is False:
             self.counters.gave_way += 1
-            # What was kept for the case that it wins must not, again and again, take the room of what has counted.
+            # The life of the lost transaction must not take the room of one that counts, however often one is lost.
             self._driver.persist_private((outbox.life, state.view.members[self._pid]))
         for record in outbox.ready(state):
             effects = record.effects
@@ -264,7 +271,7 @@ class Rounds:
             self._body.hold(NOT_CONFIRMED, False, now)
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
-        """Run an event, or find that there will be none; or leave the round open for what may still arrive."""
+        """Run an event, or close the round without one, or keep it open for entries that may still arrive."""
         sensed = self._present.sensed
         assert sensed is not None
         sensors = self._body.sensors(sensed)
@@ -302,14 +309,14 @@ class Rounds:
         self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
 
     def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Moment:
-        """What this robot knows before its event."""
+        """Return what this robot knows before its event."""
         state, own, body = self._replica.state, self._runner.locals, self._body.actuators
         if state is None or self._outbox.first is not None or self._outbox.undecided:
             return Moment(self.round, now, SENSED, sensed, sensors, own, {}, body)
         return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
-        """Why no event may run as far as the shared memory goes."""
+        """Return why no event may run, as far as the shared memory goes; None if one may."""
         state, round_ = self._replica.state, self.round
         if state is None:
             return self._replica.status
@@ -332,7 +339,7 @@ class Rounds:
         return ", ".join(self._names[p] for p in pids)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
-        """Close a round in which an event could run; its record is made when all others have their entry."""
+        """Close a round in which an event could run. The record is made after the entry was sent."""
         fault, effects = outcome.fault, outcome.effects
         self._body.hold(FAULT, fault is not None, now)
         life = self._close(effects, outcome.lock)
@@ -366,7 +373,7 @@ class Rounds:
         return life
 
     def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """What a round came to waits until it is certain that it counts."""
+        """Keep a round's record until the round is committed."""
         if self._restored is not None:
             record, self._restored = replace(record, restored=self._restored), None
         self._outbox.add(record, lock, life)
