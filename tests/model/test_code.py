@@ -37,6 +37,12 @@ def test_many_schedules_keep_what_is_promised(n: int, seeds: range) -> None:
     print(run(seeds, n))
 
 
+@pytest.mark.parametrize("seed", [6035, 8918])
+def test_a_member_rejoins_that_lacks_entries_that_nobody_has_any_more(seed: int) -> None:
+    """Their author has died, and those that have applied them got them in a snapshot. The seeds once ended so."""
+    run(range(seed, seed + 1))
+
+
 BROKEN = {
     "promises freeze nobody": (views.Views, "is_frozen", property(lambda self: False)),
     "one's own word is enough": (replica, "commit_index", lambda peers, view, applied: applied),

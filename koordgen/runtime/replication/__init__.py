@@ -70,7 +70,7 @@ being applied.
 
 Rejoin. A robot that is no member, or has lost its store, asks to be admitted. The next view gives it a new incarnation.
 From then on it sends silent entries, so that nobody waits for it, and fetches a snapshot of the store, in fragments,
-from one member at a time (`rejoin`).
+from one member at a time (`rejoin`). So does a member that lacks entries which no robot has any more.
 
 Persistence. Some facts must survive the process, or a restarted robot could contradict itself: its latest view, the
 last round that it reported as applied, its promise and its vote (`messages.HardState`), and its own variables after

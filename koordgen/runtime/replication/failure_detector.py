@@ -26,6 +26,7 @@ class FailureDetector:
     def suspects(self, pids: Collection[int], arrived: Sequence[int], since: int) -> list[int]:
         """Return those of which no new entry has arrived since round `since`.
 
-        `arrived`: of each robot, the round in which a new entry of it arrived last.
+        `arrived`: of each robot, the round in which a new entry of it arrived last. An entry that arrives before the
+        first tick of a round is noted in the round before, so its author gets one round more.
         """
-        return [p for p in pids if max(self._since[p], arrived[p]) < since]
+        return [p for p in pids if max(self._since[p], arrived[p] + 1) < since]

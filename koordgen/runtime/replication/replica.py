@@ -88,6 +88,7 @@ class Replica:
         self._sends: list[Send] = []
         self._rejected: list[str] = []
         self._requested: list[int] = []
+        self._moved = 0, self.round  # the last applied round, and the round in which it was applied
         self._has_progress = True  # reports, the applied round or the view have changed since `ready` was called
 
     # State, as the rounds see it.
@@ -288,10 +289,13 @@ class Replica:
         since = tick - HEARD_TICKS
         if 1 + len([peer for peer in self.peers.values() if peer.heard > since]) < majority(self._n):
             self._detector.restart_all(self.round)
+            self._moved = -1, self.round
         else:
             joining = [p for p, peer in self.peers.items() if peer.asked_to_join > tick - JOIN_TICKS]
             self._send(self.views.poll(tick, self._suspects(), joining))
             self._freeze()
+            if self._is_stranded():
+                self._lose_store(self.views.view.number)
         if self.rejoin is not None:
             self._send(self.rejoin.poll(tick, self.views.view))
 
@@ -299,6 +303,22 @@ class Replica:
         """Return whether, as at the beginning of nearly all rounds, nothing is late, and no view change is wanted."""
         calm = not self.is_busy and self._join_asked <= self._tick - JOIN_TICKS
         return calm and self.state is not None and self.state.applied >= self.round - 1
+
+    def _is_stranded(self) -> bool:
+        """Return whether this robot lacks entries that it will never get.
+
+        That is so if it has heard a majority for 2 * `peer_timeout` rounds and applied nothing, while a majority has
+        applied more: robots that had the missing entries have failed since, or got them only in a snapshot. A majority
+        without this robot has all committed rounds, so its store may be lost.
+        """
+        state = self.state
+        if state is None or state.applied != self._moved[0] or not state.lacking:
+            self._moved = -1 if state is None else state.applied, self.round
+            return False
+        if self.views.is_frozen or self.round <= self._moved[1] + 2 * self._peer_timeout:
+            return False
+        ahead = [p for p, peer in self.peers.items() if peer.view == state.view.number and peer.applied > state.applied]
+        return len(ahead) >= majority(self._n)
 
     def _suspects(self) -> list[int]:
         if self.state is None:
@@ -429,6 +449,11 @@ class Replica:
         self._spare = self.rejoin = None
         self._replace(state)
         self._detector.restart_all(self.round)
+
+    def _lose_store(self, since: int) -> None:
+        """Go on without a store, and ask to be admitted by a view after number `since`."""
+        self.rejoin = Rejoin(self.pid, since, arrived=self._tick)
+        self._replace(None)
 
     def _replace(self, state: StateMachine | None) -> None:
         """Go on with another store, or none."""

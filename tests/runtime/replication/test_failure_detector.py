@@ -19,7 +19,7 @@ def test_robots_are_suspected_by_the_round_of_their_last_new_entry(
         for pid in range(3):
             if arrived[pid]:
                 last[pid] = round_
-    assert detector.suspects((0, 1, 2), last, since) == [pid for pid in range(3) if last[pid] < since]
+    assert detector.suspects((0, 1, 2), last, since) == [pid for pid in range(3) if last[pid] + 1 < since]
 
 
 def test_only_robots_that_are_asked_about_are_suspected() -> None:
@@ -29,8 +29,8 @@ def test_only_robots_that_are_asked_about_are_suspected() -> None:
 def test_a_robot_begins_anew_when_its_membership_changes() -> None:
     detector = FailureDetector(2, 1)
     assert detector.suspects((0, 1), [12, 0], 12) == [1]
-    detector.restart(1, 13)
-    assert detector.suspects((0, 1), [12, 0], 13) == [0]
+    detector.restart(1, 14)
+    assert detector.suspects((0, 1), [12, 0], 14) == [0]
 
 
 def test_all_robots_begin_anew_after_this_robot_was_cut_off() -> None:
