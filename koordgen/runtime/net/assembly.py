@@ -1,4 +1,4 @@
-"""Entries that are longer than a datagram, put together from their fragments: one of each author at a time."""
+"""Reassembly of entries that are longer than a datagram: one entry of each author at a time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from koordgen.runtime.net.fragments import Reassembly
 from koordgen.runtime.net.wire import Entry, Fragment, HeldFragments, entry_of
 
-MOST_PARTLY = 8  # that one question speaks of
+MOST_HELD = 8  # entries whose fragments one Nack reports
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class _Begun:
 
 
 class Assembly:
-    """What is begun, by its author."""
+    """Entries of which some fragments are here, by author."""
 
     def __init__(self) -> None:
         self._begun: dict[int, _Begun] = {}
@@ -28,15 +28,17 @@ class Assembly:
         self._begun.clear()
 
     def received(self) -> tuple[HeldFragments, ...]:
-        """Which fragments are there, for those who are asked for the others."""
+        """Return which fragments are here, for robots that are asked for the others."""
         begun = [
             HeldFragments(author, b.round, b.fragments.name, b.fragments.mask) for author, b in self._begun.items()
         ]
-        return tuple(begun[:MOST_PARTLY])
+        return tuple(begun[:MOST_HELD])
 
     def take(self, fragment: Fragment, wanted: Callable[[int, int], bool]) -> Entry | str | None:
-        """Take a fragment: the entry once it is complete, or why the fragment is refused. `wanted` tells whether the
-        entry of an author and round would be news."""
+        """Take a fragment. Return the entry once it is complete, or why the fragment is refused.
+
+        `wanted` returns whether the entry of an author and round would be new.
+        """
         author = fragment.author
         if not wanted(author, fragment.round):
             return None

@@ -31,15 +31,20 @@ def cut(blob: bytes, room: int) -> list[Cut]:
 
 
 def lacking(count: int, mask: bytes) -> list[int]:
-    """The numbers of the fragments that are not in a mask (bit i of byte i // 8: fragment i), ascending. A mask may be
-    shorter than `count`, or longer."""
+    """Return the numbers of the fragments that are not in a mask, ascending.
+
+    Bit i of byte i // 8 of the mask stands for fragment i. A mask may be shorter than `count`, or longer.
+    """
     held = int.from_bytes(mask, "little")
     return [i for i in range(count) if not held >> i & 1]
 
 
 class Reassembly:
-    """The fragments of one blob as they come. The first one says what it is; others that do not go with it are refused.
-    All fragments but the last have one length, the last has at most that."""
+    """Fragments of one blob, as they arrive.
+
+    The first one names the blob and the count; fragments that disagree with it are refused. All fragments but the last
+    have one length; the last one is no longer than that.
+    """
 
     def __init__(self, name: bytes, count: int) -> None:
         self.name = name
@@ -48,7 +53,7 @@ class Reassembly:
         self._parts: dict[int, bytes] = {}
 
     def take(self, fragment: Cut) -> str | None:
-        """Take a fragment; None, or why it is refused. A known one is no news, no error."""
+        """Take a fragment. Return None, or why it is refused. A known one is no error."""
         name, index, count, data = fragment
         if name != self.name or count != self.count:
             return "fragment of something else"
@@ -61,7 +66,7 @@ class Reassembly:
         return None
 
     def blob(self) -> bytes | None:
-        """The whole, once all fragments are here; if it is not what the digest says, they are dropped."""
+        """Return the blob once all fragments are here. If it does not have the digest, drop them all."""
         if len(self._parts) < self.count or not self._parts:
             return None
         whole = b"".join(self._parts[i] for i in range(self.count))
@@ -78,7 +83,7 @@ class Reassembly:
         return held.to_bytes((held.bit_length() + 7) // 8, "little")
 
     def _even(self, index: int, length: int) -> bool:
-        """Whether a fragment's length goes with those that are here."""
+        """Return whether a fragment's length agrees with those of the fragments that are here."""
         if index == self.count - 1:
             return not self._room or length <= self._room
         last = self._parts.get(self.count - 1, b"")

@@ -137,8 +137,10 @@ class Layout:
         return tuple(writes), None if any(item is None for _, item in values) else values
 
     def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
-        """What an entry carries, by index: values, and patches as Unpatched; None when anything in it does not fit
-        this program."""
+        """Return the values of an entry with the indices of their variables; a patch is returned as Unpatched.
+
+        Return None if anything in the entry does not fit this program.
+        """
         first, round_, writes = entry.first, entry.round, entry.writes
         if entry.author >= self.n_sys or first > round_:
             return None

@@ -110,7 +110,7 @@ class Metrics:
         self._skipped: dict[str, int] = {}
 
     def heard(self, arrivals: Iterable[Arrival], now: float) -> None:
-        """Count authentic round messages that arrived by `now`.
+        """Count authentic round messages. They have arrived by the local time `now`.
 
         They are kept until there are many, or someone asks: the figures of each peer lie far apart in memory.
         """

@@ -29,7 +29,7 @@ class Vote:
 
 
 class HardState(msgspec.Struct, frozen=True, gc=False):
-    """What a robot has committed itself to. It must be on disk before a message that depends on it leaves.
+    """Facts that a robot must not contradict. They are on disk before a message that depends on them is sent.
 
     `applied` is the last round that the robot has reported as applied in `view`, or is about to.
     """
@@ -64,7 +64,7 @@ class Applied(msgspec.Struct, frozen=True, gc=False):
 
 
 class Ready(msgspec.Struct, frozen=True, gc=False):
-    """What the driver has to do, in this order.
+    """Work for the driver, in this order.
 
     1. Persist `persist` and `private`. 2. Send `send`. 3. Apply: act on `apply`.
     """

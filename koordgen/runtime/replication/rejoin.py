@@ -14,7 +14,7 @@ from koordgen.runtime.net.fragments import Reassembly, cut, lacking
 from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View, encoder, snapshot_of
 from koordgen.runtime.replication.messages import Send
 
-PATIENCE = 5  # ticks without a new fragment, then another member is asked
+PATIENCE = 5  # ticks without a new fragment, after which the robot asks another member
 MOST_AT_ONCE = 16  # fragments for one request
 SNAPSHOTS = 2  # kept in fragments for robots that have begun to fetch them
 

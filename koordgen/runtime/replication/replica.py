@@ -148,7 +148,7 @@ class Replica:
         return ready
 
     def _new_progress(self) -> Applied | None:
-        """Update the commit index, and return it with the applied round if one of them has changed."""
+        """Update the commit index. Return it and the applied round, or None if neither has changed."""
         self._has_progress = False
         state, known = self.state, self._applied
         if state is None:

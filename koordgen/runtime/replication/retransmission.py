@@ -45,7 +45,7 @@ class RetransmissionPolicy:
         return round_ <= self._late + LATE_FOR
 
     def is_hurried(self, round_: int) -> bool:
-        """Return whether the robot is late and nothing was lost lately: what it lacks is probably late, too."""
+        """Return whether the robot is late and nothing was lost lately: missing entries are probably late."""
         return self.is_strained(round_) and round_ > self._lost + LOSSY_FOR
 
     def waits(self, round_: int) -> bool:

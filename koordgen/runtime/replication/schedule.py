@@ -12,8 +12,9 @@ FAR = 2**53  # a round that never comes
 
 
 class Schedule:
-    """`first` is the view of the next round to be applied, `members` the robots in it; `is_single`: no view follows.
+    """Views from `first`, the view of the next round to be applied, on.
 
+    `members` are the robots in `first`. `is_single`: no later view is known.
     Invariant: the views have consecutive numbers, and each begins no earlier than the one before it.
     """
 

@@ -27,7 +27,7 @@ GRACE = 5  # ticks that a proposer with a majority waits for further robots that
 
 
 class Report(NamedTuple):
-    """What a robot reports of itself when it promises.
+    """Report that a robot makes of itself when it promises.
 
     `view`: its latest view. `applied`: the last round that it has reported as applied in it. `has_store`: it is a
     member and still has the store after that round. `accepted`: the value it has voted for, in ballot `voted`.

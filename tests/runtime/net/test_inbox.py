@@ -290,7 +290,7 @@ class TestInC:
             assert (made.shown.spins, made.shown.failed) == (8, 8)
 
     def test_spinning_that_succeeds_goes_on(self) -> None:
-        """What is there already when it looks the first time is found by spinning too."""
+        """A datagram that is there at the first look counts as found by spinning, too."""
         with in_c() as (made, sending):
             for i in range(1, 4):
                 made.wait(0.0002, 1, 0.0002)  # fails
@@ -317,7 +317,7 @@ class TestInC:
             assert 100 < resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before < 260  # 200 of 1 ms, if not late
 
     def test_the_pace_is_that_of_what_comes(self) -> None:
-        """Of what comes, not of what is seen: who has slept too long finds so. It stays within its bounds."""
+        """The pace is that of arrivals, also if the inbox overslept them. It stays within bounds."""
         with gathering(8, 0.001) as (made, gather):
             for _ in range(30):
                 gather()
@@ -335,7 +335,7 @@ class TestInC:
         """Its robot has something to do then. But of two waits one looks."""
         with in_c() as (made, sending):
             child = os.fork()
-            if not child:  # stopped while it waits, it wakes after the end
+            if not child:  # it is stopped while it waits, and goes on after the wait should have ended
                 made.wait(0.0002)  # spins in vain; the next one does not
                 made.wait(0.2)
                 found = [made.receive()]

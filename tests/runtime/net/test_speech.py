@@ -21,7 +21,7 @@ from tests.runtime.net.links import OWN, WORD, Mouth, N, entry_of
 
 
 def said(*entries: Entry) -> list[Any]:
-    """The messages with these entries."""
+    """Return the messages in which these entries are sent."""
     mouth = Mouth()
     mouth.speech.round(mouth.others, (*WORD, tuple(entries)))
     assert all(len(datagram) <= LIMIT for _, datagram in mouth.sent)
