@@ -16,8 +16,9 @@ from koordgen.runtime.agent.machine import Agent
 from koordgen.runtime.agent.rounds import PUBLISH
 from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import RoundMessage, decode
+from koordgen.runtime.net.wire import RoundMessage
 from koordgen.runtime.ops.opening import open_transport
 from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.trace.writer import Record, Trace

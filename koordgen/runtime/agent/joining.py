@@ -17,9 +17,10 @@ from collections import deque
 from dataclasses import dataclass
 from hashlib import blake2s
 
+from koordgen.runtime.net.codec import epoch_of
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
-from koordgen.runtime.net.wire import Entry, Hello, epoch_of
+from koordgen.runtime.net.wire import Entry, Hello
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
 FEW = 32  # robots; in a larger fleet the period is longer, or Hellos would leave no time for anything else

@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 
 from koordgen.runtime.agent.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
-from koordgen.runtime.net.wire import View, encoder
+from koordgen.runtime.net.codec import encoder
+from koordgen.runtime.net.wire import View
 from koordgen.runtime.program.program import Life, Program
 from koordgen.runtime.replication.messages import HardState, Vote
 

@@ -17,12 +17,13 @@ from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.agent.store import Keeper
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.monitor.monitor import Cpu, Monitors
+from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Entry, encoder
+from koordgen.runtime.net.wire import Entry
 from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
 from koordgen.runtime.program.program import Fault, Life, Program

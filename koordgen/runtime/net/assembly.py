@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from koordgen.runtime.net.codec import entry_of
 from koordgen.runtime.net.fragments import Reassembly
-from koordgen.runtime.net.wire import Entry, Fragment, HeldFragments, entry_of
+from koordgen.runtime.net.wire import Entry, Fragment, HeldFragments
 
 MOST_HELD = 8  # entries whose fragments one Nack reports
 

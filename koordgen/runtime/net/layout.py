@@ -7,8 +7,9 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.net.codec import encoder, overhead
 from koordgen.runtime.net.patch import difference, patched
-from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write, encoder, overhead
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible

@@ -11,12 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.net.codec import decoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Arrival, Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage, decoder
+from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 

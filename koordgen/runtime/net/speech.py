@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.net.codec import encode, encoder, overhead, pack
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.fragments import cut, lacking
 from koordgen.runtime.net.seal import MEMORY, seal
@@ -25,10 +26,6 @@ from koordgen.runtime.net.wire import (
     Hello,
     Message,
     RoundMessage,
-    encode,
-    encoder,
-    overhead,
-    pack,
 )
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock

@@ -1,20 +1,16 @@
-"""The wire format: every datagram of the shared memory as a typed struct, MessagePack, at most 1200 bytes sealed.
+"""Wire format: the messages of the shared memory as typed structs. `codec` makes datagrams of them.
 
-A datagram is one byte `WIRE_FORMAT`, a tagged array (one of Message), and the MAC of `seal`. Times are microseconds,
-`sent` and `received` on the clock of the robot that wrote them down. Nothing here judges a message beyond its types
-and ranges; `link` and the room `replication` do.
+Times are microseconds, `sent` and `received` on the clock of the robot that wrote them down. Types and ranges are all
+that is judged here; `link` and the room `replication` judge the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
-from hashlib import blake2s
 from typing import Annotated
 
 import msgspec
 
-from koordgen.runtime.net.seal import MAC_SIZE, MEMORY, seal, unsealer
+from koordgen.runtime.net.seal import MAC_SIZE
 
 WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
@@ -24,13 +20,13 @@ MAX_ECHOES = 8
 RELEASE_SIZE = 16  # bytes of the digest that names a release
 MOST_FRAGMENTS = 256  # of one blob
 
-_TOP = 2**53
+TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 MaybeToken = Annotated[bytes, msgspec.Meta(max_length=8)]  # empty: not known yet
 Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: of a bundle that was built without a fleet
-Natural = Annotated[int, msgspec.Meta(ge=0, le=_TOP)]
-MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=_TOP)]  # -1: none
-Shift = Annotated[int, msgspec.Meta(ge=-_TOP, le=_TOP)]
+Natural = Annotated[int, msgspec.Meta(ge=0, le=TOP)]
+MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=TOP)]  # -1: none
+Shift = Annotated[int, msgspec.Meta(ge=-TOP, le=TOP)]
 Pid = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round: enough for a year of rounds of 10 ms
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
@@ -281,82 +277,3 @@ class Snapshot(Wired, frozen=True):
 Ballots = Prepare | Promise | Accept | Accepted | Decided
 ReplicaMessage = RoundMessage | Nack | Fragment | Ballots | RejoinRequest | SnapshotFragment
 Message = Hello | ReplicaMessage
-
-encoder = msgspec.msgpack.Encoder()
-_decoder: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
-_entries: msgspec.msgpack.Decoder[Entry] = msgspec.msgpack.Decoder(Entry)
-_states: msgspec.msgpack.Decoder[Snapshot] = msgspec.msgpack.Decoder(Snapshot)
-_FORMAT = bytes([WIRE_FORMAT])
-
-
-def pack(message: Message) -> bytes:
-    """What of a datagram is sealed."""
-    return _FORMAT + encoder.encode(message)
-
-
-def encode(message: Message, key: bytes | None) -> bytes:
-    """A sealed datagram; the caller sees to its length."""
-    return seal(key, MEMORY, pack(message))
-
-
-def decode(datagram: bytes, key: bytes | None) -> Message | str:
-    """Return the message in a datagram, or why there is none. Nothing is read before its MAC was verified.
-
-    Never raises. An entry keeps the payload that it arrived in alive; slices of a view would keep three objects.
-    """
-    return decoder(key)(datagram)
-
-
-@lru_cache(maxsize=4)
-def decoder(key: bytes | None) -> Callable[[bytes], Message | str]:
-    """Return `decode` for one key."""
-    unseal, decode_payload = unsealer(key, MEMORY), _decoder.decode
-
-    def decode_(datagram: bytes) -> Message | str:
-        if len(datagram) > LIMIT:
-            return "oversize"
-        payload = unseal(datagram)
-        if payload is None:
-            return "not authentic"
-        if payload[0] != WIRE_FORMAT:
-            return "another format version"
-        try:
-            return decode_payload(payload[1:])
-        except (ValueError, RecursionError):
-            return "malformed"
-
-    return decode_
-
-
-def entry_of(blob: bytes) -> Entry | None:
-    """The entry that came in fragments, or None when that is none."""
-    try:
-        return _entries.decode(blob)
-    except (ValueError, RecursionError):
-        return None
-
-
-def snapshot_of(blob: bytes) -> Snapshot | None:
-    """The State that came in fragments, or None when that is none."""
-    try:
-        return _states.decode(blob)
-    except (ValueError, RecursionError):
-        return None
-
-
-def epoch_of(boots: list[bytes]) -> bytes:
-    """The mission's name: a digest of all robots' boots in the order of their pids, so that robots which have met the
-    same boots agree on it without a coordinator."""
-    return blake2s(b"".join(boots), digest_size=8, person=b"k-epoch").digest()
-
-
-def overhead(n_sys: int) -> int:
-    """The most bytes a sealed datagram has beside its entries or a fragment's data, with `n_sys` robots."""
-    token = bytes(8)
-    echoes = tuple(Echo(MAX_ROBOTS - 1, _TOP, _TOP) for _ in range(min(MAX_ECHOES, n_sys)))
-    head = Head(_TOP, token, token, MAX_ROBOTS - 1, token, token, _TOP, _TOP, _TOP, echoes)
-    held = (2**32 - 1,) * n_sys
-    fragment = Fragment(head, MAX_ROBOTS - 1, _TOP, _TOP, token, MOST_FRAGMENTS - 1, MOST_FRAGMENTS, b"")
-    hello = Hello(head, MAX_ROBOTS - 1, token, token, tuple(range(n_sys)), None, _TOP, bytes(RELEASE_SIZE))
-    round_ = RoundMessage(head, _TOP, _TOP, _TOP, _TOP, True, held, ())
-    return MAC_SIZE + 1 + max(len(encoder.encode(m)) for m in (fragment, hello, round_)) + 4

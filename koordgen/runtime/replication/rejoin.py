@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from koordgen.runtime.net.codec import encoder, snapshot_of
 from koordgen.runtime.net.fragments import Reassembly, cut, lacking
-from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View, encoder, snapshot_of
+from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View
 from koordgen.runtime.replication.messages import Send
 
 PATIENCE = 5  # ticks without a new fragment, after which the robot asks another member

@@ -24,7 +24,7 @@ from koordgen.lang.check.sections.program import check
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
-from koordgen.runtime.net import layout, wire
+from koordgen.runtime.net import codec, layout, wire
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.program.program import Program as Generated
 from koordgen.runtime.values.gridmap import GridMap
@@ -62,7 +62,7 @@ def robots_verdict(program: Generated, n_sys: int) -> bool:
 
 def test_overhead_is_the_wires() -> None:
     assert [overhead(n) for n in range(1, wire.MAX_ROBOTS + 1)] == [
-        wire.overhead(n) for n in range(1, wire.MAX_ROBOTS + 1)
+        codec.overhead(n) for n in range(1, wire.MAX_ROBOTS + 1)
     ]
 
 
@@ -110,7 +110,7 @@ def test_no_store_is_longer_than_its_bound(n_sys: int) -> None:
     top = 2**53
     view = wire.View(top, top, (top,) * n_sys)
     state = wire.Snapshot(view, top, bound.pack(values), (top,) * n_sys, (2**32 - 1,) * n_sys)
-    assert len(wire.encoder.encode(state)) == bound.snapshot_bytes == store_bytes(shared.shared, n_sys)
+    assert len(codec.encoder.encode(state)) == bound.snapshot_bytes == store_bytes(shared.shared, n_sys)
 
 
 def init_writing(characters: int, written: str) -> Program:
@@ -141,8 +141,8 @@ def test_the_room_for_it_is_a_hellos(n_sys: int) -> None:
     echoes = (wire.Echo(127, top, top),) * min(wire.MAX_ECHOES, n_sys)
     head = wire.Head(top, token, token, 127, token, token, top, top, top, echoes)
     hello = wire.Hello(head, 127, token, token, tuple(range(n_sys)), None, top, bytes(wire.RELEASE_SIZE))
-    nothing = len(wire.encoder.encode(None))
-    assert len(wire.encode(hello, bytes(32))) - nothing + most_init(n_sys) == wire.LIMIT
+    nothing = len(codec.encoder.encode(None))
+    assert len(codec.encode(hello, bytes(32))) - nothing + most_init(n_sys) == wire.LIMIT
 
 
 def test_a_list_that_init_spells_out_takes_what_it_holds() -> None:

@@ -11,8 +11,9 @@ import pytest
 from benchmarks.fixtures.fleet import KEY, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.agent.store import Acceptor, Locals
+from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.network import Conditions
-from koordgen.runtime.net.wire import RoundMessage, decode
+from koordgen.runtime.net.wire import RoundMessage
 from koordgen.runtime.program.program import Event
 from koordgen.runtime.values.points import Point
 from tests.runtime.replication.agents import rounds_of, snapshot_of

@@ -9,7 +9,7 @@ import msgspec
 
 from benchmarks.fixtures.fleet import KEY, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.net import wire
+from koordgen.runtime.net import codec
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics
@@ -43,7 +43,7 @@ def hello(head: Head, to: int = OWN) -> Hello:
 
 
 def sealed(message: Message) -> bytes:
-    return wire.encode(message, KEY)
+    return codec.encode(message, KEY)
 
 
 def entry_of(round_: int, length: int = 5) -> Entry:
@@ -125,7 +125,7 @@ class Mouth:
 
     def said(self) -> list[Any]:
         """Return the messages sent since the last call; each went to all others."""
-        messages = [wire.decode(datagram, KEY) for _, datagram in self.sent]
+        messages = [codec.decode(datagram, KEY) for _, datagram in self.sent]
         assert all(to == self.others for to, _ in self.sent)
         self.sent.clear()
         return messages

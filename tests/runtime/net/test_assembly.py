@@ -5,8 +5,9 @@ from __future__ import annotations
 import msgspec
 
 from koordgen.runtime.net.assembly import Assembly
+from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.fragments import cut
-from koordgen.runtime.net.wire import Entry, Fragment, Head, Write, encoder
+from koordgen.runtime.net.wire import Entry, Fragment, Head, Write
 
 HEAD = Head(0, bytes(8), bytes(8), 0, bytes(8), bytes(8), 1, 1, None, ())
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import KEY
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.net import wire
+from koordgen.runtime.net import codec
 from koordgen.runtime.net.seal import MEMORY, POSITION, seal, unseal
 from koordgen.runtime.net.wire import (
     LIMIT,
@@ -60,7 +60,7 @@ def test_a_replay_of_everything_changes_nothing(tap: Wiretap) -> None:
 
 
 def test_what_was_meant_for_another_robot_changes_nothing_of_ours(tap: Wiretap) -> None:
-    hellos = [d for s, r, d in tap.heard if r == 1 and s == CLEO and isinstance(wire.decode(d, KEY), Hello)]
+    hellos = [d for s, r, d in tap.heard if r == 1 and s == CLEO and isinstance(codec.decode(d, KEY), Hello)]
     assert tap.play(*hellos) == {"for another robot": len(hellos)}
     assert tap.unharmed()
 
@@ -122,7 +122,7 @@ def test_well_sealed_nonsense_changes_nothing(tap: Wiretap, value: Any, tag: int
     head = msgspec.to_builtins(msgspec.msgpack.decode(payload[1:])[1])
     version = bytes([WIRE_FORMAT])
     for body in (value, [tag, head, value], [tag, head, 1, value, [0, 0, 0], []], [tag, head, 1, 1, [0] * 3, [value]]):
-        tap.play(seal(KEY, MEMORY, version + wire.encoder.encode(body)))
+        tap.play(seal(KEY, MEMORY, version + codec.encoder.encode(body)))
     assert tap.unharmed()
 
 
@@ -133,7 +133,7 @@ NO_TEXT = b"\xa2\xff\xfe"  # MessagePack of a text of two bytes that are no UTF-
 def test_a_text_that_is_not_unicode_is_malformed(tap: Wiretap, tag: int) -> None:
     payload = unseal(KEY, MEMORY, tap.forged(lambda m: m))
     assert payload is not None
-    head = wire.encoder.encode(msgspec.msgpack.decode(payload[1:])[1])
+    head = codec.encoder.encode(msgspec.msgpack.decode(payload[1:])[1])
     for body in (NO_TEXT, b"\x93" + bytes([tag]) + head + NO_TEXT, b"\x92" + bytes([tag]) + NO_TEXT):
         assert tap.play(seal(KEY, MEMORY, bytes([WIRE_FORMAT]) + body)) == {"malformed": 1}
     assert tap.unharmed()

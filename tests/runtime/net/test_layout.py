@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from koordgen.runtime.net.codec import encoder, overhead
 from koordgen.runtime.net.layout import MOST_ENTRY, MOST_SHARED, Layout, TooLarge, Unpatched, most_entry
 from koordgen.runtime.net.patch import difference
-from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write, encoder, overhead
+from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Cells, Distinct, Fixed, Many, Text
 from koordgen.runtime.values.gridmap import GridMap, area, mark_occupied

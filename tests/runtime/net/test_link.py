@@ -11,10 +11,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from benchmarks.fixtures.fleet import KEY
+from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.metrics import RECENT
 from koordgen.runtime.net.seal import CONTROL, MEMORY, POSITION, seal
 from koordgen.runtime.net.sessions import REPLAY_WINDOW, PeerSession
-from koordgen.runtime.net.wire import LIMIT, Echo, Head, Message, Nack, RejoinRequest, decode
+from koordgen.runtime.net.wire import LIMIT, Echo, Head, Message, Nack, RejoinRequest
 from tests.runtime.net.links import ADOPTED, BOOTS, EPOCH, OWN, Ear, N, head, hello, sealed, word
 
 TOP = 2**53

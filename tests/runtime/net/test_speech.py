@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime.net import speech, wire
+from koordgen.runtime.net import codec, speech, wire
+from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.speech import (
     ECHOES_A_LESSON,
     MOST_DATAGRAMS,
@@ -16,7 +17,7 @@ from koordgen.runtime.net.speech import (
     OTHERS_EVERY,
     others_every,
 )
-from koordgen.runtime.net.wire import LIMIT, MAX_ECHOES, Entry, Fragment, RoundMessage, encoder
+from koordgen.runtime.net.wire import LIMIT, MAX_ECHOES, Entry, Fragment, RoundMessage
 from tests.runtime.net.links import OWN, WORD, Mouth, N, entry_of
 
 
@@ -78,7 +79,7 @@ def test_every_hello_echoes() -> None:
     assert mouth.said()[-1].head.echoes == ()
     for _ in range(3):
         mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
-    messages: list[Any] = [wire.decode(datagram, KEY) for _, datagram in mouth.sent]
+    messages: list[Any] = [codec.decode(datagram, KEY) for _, datagram in mouth.sent]
     assert [[echo.pid for echo in message.head.echoes] for message in messages] == [[0]] * 3
 
 
@@ -146,7 +147,7 @@ def test_echoes_go_to_those_who_are_due_as_long_as_there_is_room(n: int) -> None
         if turn == 20:
             mouth.meet(mouth.others)
         mouth.speech.round(to, (*WORD, (entry_of(30),)))
-        message = wire.decode(mouth.sent.pop()[1], KEY)
+        message = codec.decode(mouth.sent.pop()[1], KEY)
         assert isinstance(message, RoundMessage)
         echoed = [echo.pid for echo in message.head.echoes]
         assert set(echoed) <= set(to) and all(mouth.clock.time - last.get(pid, -9.0) >= every for pid in echoed)

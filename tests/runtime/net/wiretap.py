@@ -9,8 +9,9 @@ import msgspec
 
 from benchmarks.fixtures.fleet import KEY, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.net import wire
-from koordgen.runtime.net.wire import Message, RoundMessage, encoder
+from koordgen.runtime.net import codec
+from koordgen.runtime.net.codec import encoder
+from koordgen.runtime.net.wire import Message, RoundMessage
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.replication.log import Log
 from koordgen.runtime.replication.messages import Vote
@@ -94,7 +95,7 @@ class Wiretap:
 
     def forged(self, change: Callable[[RoundMessage], Message]) -> bytes:
         """A datagram that the genuine key sealed, from a robot gone wrong: the next one of cleo, changed."""
-        sent = [wire.decode(d, KEY) for s, r, d in self.heard if s == CLEO and r == 0]
+        sent = [codec.decode(d, KEY) for s, r, d in self.heard if s == CLEO and r == 0]
         last = [m for m in sent if isinstance(m, RoundMessage)][-1]
         head = msgspec.structs.replace(last.head, sequence=last.head.sequence + 1, echoes=())
-        return wire.encode(change(msgspec.structs.replace(last, head=head, entries=())), KEY)
+        return codec.encode(change(msgspec.structs.replace(last, head=head, entries=())), KEY)

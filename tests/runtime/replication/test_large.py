@@ -13,7 +13,7 @@ from msgspec import Raw
 from benchmarks.fixtures.fleet import KEY, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.config.settings import Safety
-from koordgen.runtime.net import wire
+from koordgen.runtime.net import codec
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.net.wire import LIMIT, Entry, RoundMessage, Write
 from koordgen.runtime.program.program import Event, Frame, Transaction, Variable
@@ -120,12 +120,12 @@ def test_a_report_with_entries_goes_in_as_few_datagrams_as_it_fits_in(length: in
     fleet.run_rounds(3)
     speech, sent = fleet.robots[0].agent._link.speech, list[bytes]()
     fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
-    value = Raw(wire.encoder.encode("x" * length))
+    value = Raw(codec.encoder.encode("x" * length))
     entries = [Entry(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
     speech._next_echo = float("-inf")
     speech._echoed.clear()
     speech.round([1], (0, 5, 4, 3, False, (), tuple(entries)))
-    messages = [wire.decode(d, KEY) for d in sent]
+    messages = [codec.decode(d, KEY) for d in sent]
     rounds = [m for m in messages if isinstance(m, RoundMessage)]
     assert all(len(d) <= LIMIT for d in sent) and len(messages) == {1: 1, 30: 1, 300: 2, 700: 4, 5000: 25}[length]
     assert [c for m in rounds for c in m.entries] == (entries if length < LIMIT else [])
@@ -139,7 +139,7 @@ def tapped(fleet: Fleet) -> Counter[str]:
     send = fleet.network.send
 
     def tap(sender: int, receiver: int, datagram: bytes) -> None:
-        sent[type(wire.decode(datagram, KEY)).__name__] += 1
+        sent[type(codec.decode(datagram, KEY)).__name__] += 1
         sent["bytes"] += len(datagram)
         send(sender, receiver, datagram)
 

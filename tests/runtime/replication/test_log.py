@@ -8,7 +8,8 @@ from random import Random
 import msgspec
 import pytest
 
-from koordgen.runtime.net.wire import Entry, encoder
+from koordgen.runtime.net.codec import encoder
+from koordgen.runtime.net.wire import Entry
 from koordgen.runtime.replication.log import MOST_SHARING, Log, Logged
 from tests.runtime.replication.states import acted, fleet, silent, write
 
