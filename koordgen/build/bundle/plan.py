@@ -264,5 +264,5 @@ def _target_files(target: Target) -> Files:
 
 def _folder(folder: Path, prefix: str) -> Files:
     """Python, C that is compiled on the robot, what pages are made of, and the licences of other people's code."""
-    found = (p for kind in ("*.py", "*.c", "*.h", "*.js", "*.css", "LICENSE") for p in sorted(folder.rglob(kind)))
+    found = (p for kind in ("*.py", "*.c", "*.js", "*.css", "LICENSE") for p in sorted(folder.rglob(kind)))
     return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

@@ -26,6 +26,8 @@ from typing import Any, TextIO
 from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
 from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import BadSettings, Settings
+from koordgen.runtime.native import protocol
+from koordgen.runtime.native.loader import NotCompiled
 from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
@@ -69,6 +71,8 @@ def main(
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
+    if arguments.compile:
+        return _compile()
     platform: Platform | None = None
     try:
         if arguments.check or arguments.doctor:
@@ -119,6 +123,11 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
     parser.add_argument("--doctor", action="store_true", help="tell of all that there is to look at; move nothing")
     parser.add_argument("--status", action="store_true", help="tell how the agent does that runs on this host")
     parser.add_argument(
+        "--compile",
+        action="store_true",
+        help="compile the shared memory's modules, once for all bundles of this koordgen: for large and fast fleets",
+    )
+    parser.add_argument(
         "--format", choices=("text", "json"), default="text", help="of --status and --doctor (default: text)"
     )
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
@@ -128,6 +137,16 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
         return parser.parse_args(list(argv))
     except SystemExit as done:
         return done.code if isinstance(done.code, int) else 2
+
+
+def _compile() -> int:
+    _say("info", "compiling the shared memory's modules; this takes a minute, on a small computer several")
+    try:
+        path = protocol.compile_modules()
+    except NotCompiled as error:
+        return _fail(str(error), "", SURROUNDINGS)
+    _say("info", f"compiled: {path}; bundles of this koordgen use it from their next start on")
+    return OK
 
 
 def _status(settings: Settings, key: bytes | None, form: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -29,7 +30,8 @@ class TooLarge(Exception):
     robots or variables."""
 
 
-class Unpatched(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Unpatched:
     """A written value of which only the difference to the round's first value came: see `resolve`."""
 
     patch: bytes

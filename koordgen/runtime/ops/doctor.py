@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 from koordgen.runtime.config.settings import BadSettings, Peer, Settings
+from koordgen.runtime.native import protocol
 from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
@@ -25,6 +26,7 @@ from koordgen.runtime.trace.parts import MEGABYTE, size_of
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
+MANY_MESSAGES = 1000  # a second: from here on a robot's rounds should run compiled
 LOOKUP = 3.0  # seconds within which all names must have been found
 
 PlatformType = Callable[[Settings, bytes | None], Platform]
@@ -49,6 +51,7 @@ def examine(
     )
     yield _program(program, settings)
     yield _compiled()
+    yield _protocol(settings, root)
     if settings.state is not None:
         yield disk(root.resolve().parent / settings.state)
     if settings.trace is not None:
@@ -98,6 +101,18 @@ def _compiled() -> Finding:
         why = f"{inbox.PYTHON_COSTS}: install a C compiler (`apt install gcc`)"
         return Finding("compiled", "warn", reason, "socket I/O in C", why)
     return Finding("compiled", "ok", f"socket I/O in C, loaded in {took:.0f} ms")
+
+
+def _protocol(settings: Settings, root: Path) -> Finding:
+    """Return whether the shared memory's modules run compiled, or need not."""
+    messages = (len(settings.peers) - 1) / settings.delta
+    if protocol.is_used():
+        return Finding("protocol", "ok", "the shared memory's modules run compiled")
+    found = f"the shared memory's modules run interpreted, with {messages:.0f} messages a second"
+    if messages < MANY_MESSAGES:
+        return Finding("protocol", "ok", found)
+    why = f"a round would take a quarter less of the processor: run `python3 {root} --compile`, once"
+    return Finding("protocol", "warn", found, "compiled modules", why)
 
 
 def _key(settings: Settings) -> tuple[bytes | None, Finding]:

@@ -6,13 +6,38 @@ untrue.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Protocol
 
-from koordgen.runtime.net.link import Link
-from koordgen.runtime.net.wire import ReplicaMessage, RoundMessage
+from koordgen.runtime.net.wire import HeldFragments, ReplicaMessage, RoundMessage
 from koordgen.runtime.replication.messages import HardState
 from koordgen.runtime.replication.replica import Replica
+
+
+class Sender(Protocol):
+    """See `net.speech.Speech`."""
+
+    def round(self, to: Sequence[int], fields: tuple[Any, ...], received: Mapping[int, HeldFragments]) -> None: ...
+
+    def say(self, to: Collection[int], kind: type[Any], *fields: Any) -> None: ...
+
+
+class Counters(Protocol):
+    """See `net.metrics.Metrics`."""
+
+    def repeated(self, pid: int) -> None: ...
+
+
+class Outlet(Protocol):
+    """The part of `net.link.Link` that a driver needs."""
+
+    @property
+    def speech(self) -> Sender: ...
+
+    @property
+    def metrics(self) -> Counters: ...
+
+    def reject(self, reason: str) -> None: ...
 
 
 class Driver:
@@ -22,12 +47,12 @@ class Driver:
     def __init__(
         self,
         replica: Replica,
-        link: Link,
+        link: Outlet,
         persist: Callable[[HardState], None],
         persist_private: Callable[[Any], None],
     ) -> None:
         self.replica = replica
-        self._link, self._codec = link, link.speech
+        self._link, self._speech = link, link.speech
         self._persist, self.persist_private = persist, persist_private
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
@@ -58,9 +83,9 @@ class Driver:
             self._persist(ready.persist)
         for send in ready.send:
             if send.kind is RoundMessage:
-                self._codec.round(send.to, send.fields, send.received)
+                self._speech.round(send.to, send.fields, send.received)
             else:
-                self._codec.say(send.to, send.kind, *send.fields)
+                self._speech.say(send.to, send.kind, *send.fields)
         for reason in ready.rejected:
             self._link.reject(reason)
         for pid in ready.requested:

@@ -20,11 +20,14 @@ MOST_SHARING = 8  # entries of one author that may keep the datagram that they c
 Values = Sequence[tuple[int, Any]]
 
 
-class Logged(msgspec.Struct, frozen=True, gc=False):
+class Logged:
     """An entry, and the values in it by the index of their variables."""
 
-    entry: Entry
-    values: Values
+    __slots__ = ("entry", "values")
+
+    def __init__(self, entry: Entry, values: Values) -> None:
+        self.entry = entry
+        self.values = values
 
     @property
     def is_single(self) -> bool:

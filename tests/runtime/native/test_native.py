@@ -75,25 +75,6 @@ def compiled(text: str, folder: Path) -> bytes:
     return (folder / "other.so").read_bytes()
 
 
-def test_headers_beside_it_are_part_of_it(source: Path, cache: Path) -> None:
-    source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\n")
-    code = "int answer(int x) { return half(x) == 882 ? 42 : half(x); }"
-    source.write_text(f'#include <stdint.h>\n#include "deep.h"\n{code}\n')
-    assert load(source, FLAGS, prove, cache).answer(10) == 5
-    source.with_name("deep.h").write_text("static int half(int x) { return x == 1764 ? 882 : 7; }\n")
-    assert load(source, FLAGS, prove, cache).answer(10) == 7, "a changed header is another library"
-    source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\nint wrong = ;\n")
-    with pytest.raises(NotCompiled, match=r"deep\.h:2:"):
-        load(source, FLAGS, prove, cache)
-    source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\n")
-    source.write_text(source.read_text() + "int wrong = ;\n")
-    with pytest.raises(NotCompiled, match=r"tiny\.c:4:"):
-        load(source, FLAGS, prove, cache)
-    source.with_name("deep.h").unlink()
-    with pytest.raises(NotCompiled, match=r"cannot be read: .*deep\.h: No such file"):
-        load(source, FLAGS, prove, cache)
-
-
 def test_it_is_compiled_once_and_kept_for_nobody_else(
     source: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,9 @@ if __name__ == "__main__":
               "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)
         raise SystemExit(5)
     try:
+        from koordgen.runtime.native import protocol
+
+        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported
         from koordgen.runtime.agent.process import main
         from program import PROGRAM
         from properties import PROPERTIES
