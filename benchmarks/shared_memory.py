@@ -16,6 +16,8 @@ sides polling without a pause it takes a fifth or less, which is printed and not
 0.2 ms at most before it sleeps, as long as that pays (see "Sockets" in docs/shared-memory.md): most of what it
 gains in the round trip comes of that.
 
+Ours runs compiled, as on a robot after `--compile`; with `--interpreted` it does not.
+
 Figures are medians over runs that take turns. The peers come with `pip install 'koordgen[bench]'`; without them our
 figures stand alone.
 """
@@ -45,11 +47,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import peers_agents, peers_exchange
+from benchmarks.compiled import restart_compiled
 from benchmarks.peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
 from benchmarks.peers_memory import open_memory, open_update, without_courier
 from koordgen.runtime.net import inbox
 
-KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"
+KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, Python sockets", "koordgen, whole agents"
 WHOLE_MEMORY = "koordgen, full stack"
 RAW, POLLED = "raw", "raw, both sides polling"
 BESIDE = {UNICAST, PLAIN, AGENTS, POLLED, WHOLE_MEMORY}  # what is printed and not judged
@@ -368,8 +371,11 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="under a minute: one run of each, few rounds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     parser.add_argument("--only", type=int, choices=(1, 2, 3, 4), action="append", help="only this part")
-    parser.add_argument("--plain", action="store_true", help="all of ours in plain Python, without the courier")
+    parser.add_argument("--interpreted", action="store_true", help="ours without compiled modules")
+    parser.add_argument("--plain", action="store_true", help="ours without anything in C, sockets neither")
     arguments = parser.parse_args()
+    if not (arguments.interpreted or arguments.plain):
+        restart_compiled()
     if arguments.plain:
         without_courier()
     if reason := inbox.accelerator():  # else it is compiled by now, for all processes
