@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
+from koordgen.runtime.agent.records import KEPT
 from koordgen.runtime.agent.rounds import Lost, Rounds
-from koordgen.runtime.agent.store import KEPT
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.wire import Decided, Entry, Head, Message, RoundMessage, View

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from koordgen.runtime.agent.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
+from koordgen.runtime.agent.records import Acceptor, Loaded, Locals, Mission
+from koordgen.runtime.agent.store import Keeper, LocalsCodec
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.program.program import Life, Program

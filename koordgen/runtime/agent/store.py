@@ -1,4 +1,4 @@
-"""What a robot finds again after its process was killed: a file of fixed length beside the bundle.
+"""Store of the records that a robot finds again after its process was killed: a file of fixed length.
 
 All of the file is allocated when it is opened, so a full disk is told before anything moves. A record is one `pwrite`
 into a slot of its own kind; a slot counts only when its digest is right, so a write that was cut short is as if it had
@@ -18,7 +18,6 @@ import os
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from hashlib import blake2s
 from hmac import compare_digest
 from pathlib import Path
@@ -26,12 +25,12 @@ from typing import Any, Protocol
 
 import msgspec
 
+from koordgen.runtime.agent.records import KEPT, Acceptor, Identity, Kept, Loaded, Locals, Mission
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.program.program import Port, Program, Variable
 from koordgen.runtime.values.points import transmissible
 
 STORE_FORMAT = 2
-KEPT = 8  # rounds whose locals can be found again
 _MAGIC = b"koord-state\n"
 _HEADER = 512  # bytes; less than a page, so no death of the process leaves half of it
 _DIGEST = 16
@@ -41,67 +40,13 @@ _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 _encode = msgspec.msgpack.Encoder().encode
 
 
-class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The mission this robot is in: its name, the start of round 1 (microseconds of fleet time), the robot's own
-    entry of round 0 as it goes over the wire."""
-
-    epoch: bytes
-    start: int
-    init: bytes
-
-
-class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The robot's own variables after its event of `round`, as LocalsCodec encodes them."""
-
-    round: int
-    incarnation: int
-    locals: bytes
-    actuators: bytes
-    stopped: bool
-
-
-class Acceptor(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What was announced of views: the present one (encoded) and the last round applied in it; for the view `number`
-    that is to come, the ballots promised and accepted and the value (encoded) accepted."""
-
-    view: bytes
-    applied: int
-    number: int
-    promised: int
-    accepted_ballot: int
-    accepted: bytes
-
-
-Kept = Mission | Locals | Acceptor
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 _SLOTS = (2, KEPT + 1, 2)  # one more of each kind than is to be found: the one being written may be cut short
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 
-@dataclass(frozen=True, slots=True)
-class Loaded:
-    """The newest of each kind; `locals` are the last KEPT rounds', ascending, the newest record of each."""
-
-    mission: Mission | None = None
-    locals: tuple[Locals, ...] = ()
-    acceptor: Acceptor | None = None
-
-
-class _Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Whose file this is. `token` is new whenever all records are forgotten; digests depend on it."""
-
-    format: int
-    app: str
-    program: str
-    robot: str
-    pid: int
-    n_sys: int
-    rooms: tuple[int, ...]
-    token: bytes = b""
-
-
-_identity_decoder = msgspec.msgpack.Decoder(_Identity)
+_identity_decoder = msgspec.msgpack.Decoder(Identity)
 
 
 class Keeper(Protocol):
@@ -117,7 +62,7 @@ class Keeper(Protocol):
 class Store:
     """`write` never raises; once it has failed, everything is forgotten, so that no restart finds an old state."""
 
-    def __init__(self, identity: _Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
+    def __init__(self, identity: Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
         self._identity = identity
         self._path = path
         self._file = file  # -1: nothing is kept
@@ -137,9 +82,7 @@ class Store:
              warn: Callable[[str], None]) -> Store:  # fmt: skip
         """The file at `path`, made and allocated in full when it is not there; without a path nothing is ever kept. A
         file of another program, robot or format is warned of and begun anew. Raises CannotOpen."""
-        identity = _Identity(
-            STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys)
-        )
+        identity = Identity(STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys))
         if path is None:
             return cls(identity, None, -1, warn)
         try:
@@ -268,7 +211,7 @@ class Store:
         body = (_MAGIC + len(text).to_bytes(2, "big") + text).ljust(_HEADER - _DIGEST, b"\0")
         _put(self._file, body + blake2s(body, digest_size=_DIGEST).digest(), 0)
 
-    def _identify(self, identity: _Identity) -> None:
+    def _identify(self, identity: Identity) -> None:
         self._identity = identity
         self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
 
@@ -339,7 +282,7 @@ def _full() -> OSError:
     return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _identity(header: bytes) -> _Identity | None:
+def _identity(header: bytes) -> Identity | None:
     body, digest = header[:-_DIGEST], header[-_DIGEST:]
     if len(header) != _HEADER or not compare_digest(blake2s(body, digest_size=_DIGEST).digest(), digest):
         return None
@@ -351,7 +294,7 @@ def _identity(header: bytes) -> _Identity | None:
         return None
 
 
-def _difference(found: _Identity | None, own: _Identity) -> str:
+def _difference(found: Identity | None, own: Identity) -> str:
     if found is None:
         return "damaged, or of another version"
     if (found.app, found.program) != (own.app, own.program):

@@ -35,7 +35,7 @@ MODULES = (
         "assembly", "codec", "fragments", "layout", "link", "metrics", "patch", "seal", "sessions", "speech",
         "udp",
     )),
-    *(f"koordgen.runtime.agent.{name}" for name in ("keeping", "rounds")),
+    *(f"koordgen.runtime.agent.{name}" for name in ("keeping", "rounds", "store")),
     "koordgen.runtime.values.clock",
 )  # fmt: skip
 GROUP = "koordgen_protocol"  # mypyc's name of the library; GROUP__mypyc is the module that all others need

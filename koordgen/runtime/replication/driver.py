@@ -65,8 +65,8 @@ class Driver:
 
     def tick(self, tick: int) -> None:
         """See Replica.tick."""
-        self.replica.tick(tick)
-        self.run()
+        if self.replica.tick(tick):
+            self.run()
 
     def run(self) -> None:
         """Persist and send, then apply what is complete: other robots may wait for the messages."""

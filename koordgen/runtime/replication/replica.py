@@ -278,14 +278,17 @@ class Replica:
 
     # Time.
 
-    def tick(self, tick: int) -> None:
-        """Begin a tick, counted from round 1 on: look for suspects, for robots that join, and after the own rejoin."""
+    def tick(self, tick: int) -> bool:
+        """Begin a tick, counted from round 1 on: look for suspects, for robots that join, and after the own rejoin.
+
+        Return False if there was nothing to do, as at the beginning of nearly all rounds.
+        """
         self._tick = self.views.tick = tick
         self.round = tick // TICKS + 1
         if self.emergency:
             self._send_round(self._others, self.round)
         if tick % TICKS == 0 and self._is_calm():
-            return
+            return self.emergency
         since = tick - HEARD_TICKS
         if 1 + len([peer for peer in self.peers.values() if peer.heard > since]) < majority(self._n):
             self._detector.restart_all(self.round)
@@ -298,6 +301,7 @@ class Replica:
                 self._lose_store(self.views.view.number)
         if self.rejoin is not None:
             self._send(self.rejoin.poll(tick, self.views.view))
+        return True
 
     def _is_calm(self) -> bool:
         """Return whether, as at the beginning of nearly all rounds, nothing is late, and no view change is wanted."""

@@ -17,7 +17,7 @@ import msgspec
 
 from koordgen.runtime.agent.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
 from koordgen.runtime.agent.machine import Agent as Machine
-from koordgen.runtime.agent.store import KEPT, Acceptor, Kept, Loaded, Locals, Mission
+from koordgen.runtime.agent.records import KEPT, Acceptor, Kept, Loaded, Locals, Mission
 from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.layout import TooLarge
 from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue

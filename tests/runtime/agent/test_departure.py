@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
-from koordgen.runtime.agent.store import Acceptor, Locals
+from koordgen.runtime.agent.records import Acceptor, Locals
 from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.net.wire import RoundMessage

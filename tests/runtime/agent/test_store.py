@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.agent.store import KEPT, Acceptor, Loaded, Locals, LocalsCodec, Mission, Store
+from koordgen.runtime.agent.records import KEPT, Acceptor, Loaded, Locals, Mission
+from koordgen.runtime.agent.store import LocalsCodec, Store
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.program.program import Program, Variable
 from koordgen.runtime.values.bounds import Blob, Fixed, Many, Text

@@ -44,8 +44,8 @@ def test_all_that_is_looked_at(bundles: list[Path], capsys: pytest.CaptureFixtur
     done, found = examined(bundles[1], capsys)
     assert done == 0
     assert list(found) == [
-        "python", "processor", "packages", "files", "settings", "program", "compiled", "disk", "trace", "key", "peers",
-        "port", "control", "fake", "clock",
+        "python", "processor", "packages", "files", "settings", "program", "compiled", "protocol", "disk", "trace",
+        "key", "peers", "port", "control", "fake", "clock",
     ]  # fmt: skip
     assert "robot bert, pid 1 of 3" in found["settings"]["found"]
     assert {name for name, f in found.items() if f["state"] == "warn"} <= {
@@ -196,6 +196,18 @@ def test_what_is_C_is_compiled_so_that_no_mission_waits_for_it(
     done, found = examined(bundles[0], capsys)
     assert done == 0 and found["compiled"]["state"] == "ok"
     assert re.fullmatch(r"socket I/O in C, loaded in \d+ ms", found["compiled"]["found"])
+
+
+def test_a_large_fast_fleet_should_run_compiled(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    _, found = examined(bundles[0], capsys)
+    assert found["protocol"]["state"] == "ok" and "interpreted" in found["protocol"]["found"]
+    path = bundles[0] / "settings.json"
+    known = json.loads(path.read_text())
+    more = [{**known["peers"][0], "name": f"more{i}", "port": 20000 + i} for i in range(8)]
+    path.write_text(json.dumps({**known, "delta": 0.01, "peers": [*known["peers"], *more]}))
+    _, found = examined(bundles[0], capsys)
+    assert found["protocol"]["state"] == "warn" and "1000 messages a second" in found["protocol"]["found"]
+    assert f"python3 {bundles[0]} --compile" in found["protocol"]["why"]
 
 
 def test_a_computer_without_a_compiler(

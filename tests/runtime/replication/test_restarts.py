@@ -12,7 +12,8 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES, Fleet, Kept, Robot
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.agent.store import KEPT, Acceptor, Keeper, Locals, Mission, Store
+from koordgen.runtime.agent.records import KEPT, Acceptor, Locals, Mission
+from koordgen.runtime.agent.store import Keeper, Store
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
 from tests.runtime.replication.agents import locals_of, snapshot_of
