@@ -94,7 +94,7 @@ $(STAMP): requirements.lock pyproject.toml
 # Takes the versions of the present environment as the locked ones, with the markers that the lock has. Python 3.11 on
 # x86-64 has all packages; any other would lose some.
 lock:
-	$(PY) -m pip freeze --exclude-editable --exclude koordgen > requirements.new
+	$(PY) -m pip freeze --all --exclude pip --exclude-editable --exclude koordgen > requirements.new
 	awk -F== 'NR == FNR { at = index($$0, ";"); if (at) marker[$$1] = substr($$0, at); next } { print $$0 marker[$$1] }' \
 	  requirements.lock requirements.new > requirements.marked
 	mv requirements.marked requirements.lock

@@ -25,7 +25,6 @@ figures stand alone.
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import math
 import multiprocessing
@@ -50,6 +49,7 @@ from benchmarks import peers_agents, peers_exchange
 from benchmarks.compiled import restart_compiled
 from benchmarks.peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
 from benchmarks.peers_memory import open_memory, open_update, without_courier
+from koordgen.runtime.agent.process import settle_collector
 from koordgen.runtime.net import inbox
 
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, Python sockets", "koordgen, whole agents"
@@ -134,19 +134,13 @@ def round_trip(make: Make, count: int, size: int = SIZE) -> float:
             barrier.wait()
             time.sleep(0.3)  # nothing is under way any more
             exchange.take(0.0)
-        settle()
+        settle_collector()
         barrier.wait()
         return ping(exchange, pid, count)
 
     with TemporaryDirectory() as folder:
         took: list[float] = together(work, 2, 60)[0]
     return statistics.median(took)
-
-
-def settle() -> None:
-    """What is there by now stays, as in an agent: no collection has to look at it."""
-    gc.collect()
-    gc.freeze()
 
 
 def agents(transport: str, n: int, delta: float, count: int, patience: float = 60.0) -> list[Figures]:
@@ -174,7 +168,7 @@ def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> tuple[list[float], list[int], float]:
         exchange = make(Place(pid, ports, SIZE, delta, Path(folder)))
         meet(exchange, n)
-        settle()
+        settle_collector()
         barrier.wait()
         if pid == 0:
             start.value = time.monotonic() + 0.5

@@ -66,7 +66,10 @@ def use(modules: Sequence[str] = MODULES) -> bool:
 
     Call it before any of them is imported.
     """
-    found = _library(modules).find()
+    try:
+        found = _library(modules).find()
+    except OSError:  # a source that cannot be read: Python tells of it when it imports that
+        return False
     if found is None:
         return False
     sys.meta_path.insert(0, _Finder(found._name, modules))
