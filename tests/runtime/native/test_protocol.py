@@ -7,13 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from koordgen.runtime.native import protocol
+from tests.runtime.net.transports import COMPILER
 
+HEADERS = Path(sysconfig.get_path("include"), "Python.h").is_file()
+needs_compiler = pytest.mark.skipif(not (COMPILER and HEADERS), reason="there is no C compiler, or no Python.h")
 ROOT = Path(__file__).resolve().parents[3]
 ONE = ("koordgen.runtime.net.seal",)  # compiles in seconds
 TESTS = ("tests/runtime/net", "tests/runtime/replication")
@@ -59,15 +63,18 @@ def passes(tests: Sequence[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@needs_compiler
 def test_the_compiled_modules_pass_the_same_tests() -> None:
     passes(TESTS)
 
 
+@needs_compiler
 @pytest.mark.slow
 def test_the_compiled_modules_pass_the_tests_of_whole_fleets() -> None:
     passes(MORE_TESTS)
 
 
+@needs_compiler
 def test_a_library_is_used_for_exactly_its_sources(robot: Path) -> None:
     assert run(robot, "use") == "", "nothing was compiled yet"
     assert run(robot, "compile") == ""
@@ -85,6 +92,7 @@ def test_a_library_is_used_for_exactly_its_sources(robot: Path) -> None:
     assert not library.exists()
 
 
+@needs_compiler
 def test_what_cannot_be_compiled_is_an_error_with_its_reason(robot: Path) -> None:
     seal = robot / "koordgen/runtime/net/seal.py"
     text = seal.read_text()
