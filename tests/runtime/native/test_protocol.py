@@ -20,8 +20,9 @@ HEADERS = Path(sysconfig.get_path("include"), "Python.h").is_file()
 needs_compiler = pytest.mark.skipif(not (COMPILER and HEADERS), reason="there is no C compiler, or no Python.h")
 ROOT = Path(__file__).resolve().parents[3]
 ONE = ("koordgen.runtime.net.seal",)  # compiles in seconds
-TESTS = ("tests/runtime/net", "tests/runtime/replication")
-MORE_TESTS = ("tests/model", "tests/runtime/agent")
+NET = "tests/runtime/net"
+TESTS = (f"{NET}/test_link.py", f"{NET}/test_speech.py", f"{NET}/test_layout.py", "tests/runtime/replication")
+MORE_TESTS = (NET, "tests/model", "tests/runtime/agent")
 SCRIPT = """
 import sys
 from koordgen.runtime.native import protocol
