@@ -115,6 +115,15 @@ def test_a_robot_that_lacks_entries_gets_them_with_the_next_round() -> None:
     assert [(e.author, e.round) for e in entries(ready, to=2)] == [(0, NOW + 1)]
 
 
+def test_a_tick_says_whether_there_is_something_to_send() -> None:
+    replica = alice()
+    assert not replica.tick((NOW - 1) * TICKS) and not replica.ready().send
+    replica.declare_emergency()
+    replica.ready()
+    assert replica.tick((NOW - 1) * TICKS), "all robots must hear of an emergency in each round"
+    assert [(list(send.to), send.kind) for send in replica.ready().send] == [([1, 2], RoundMessage)]
+
+
 LAST = NOW + AHEAD
 
 
