@@ -48,7 +48,7 @@ LINGER = 20  # rounds for which a robot serves the others after all have stopped
 
 @dataclass(slots=True)
 class _Present:
-    """Progress of the present round. `open`: its entry was not sent yet."""
+    """Progress of the present round. `open`: the robot has not sent its entry yet."""
 
     open: bool = False
     sensed: Sensed | None = None
@@ -152,7 +152,7 @@ class Rounds:
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do what is due at local time `now` (s), and return when to be called again at the latest.
+        """Do all that is due at local time `now` (s). Return the latest time for the next call.
 
         `sense` samples the sensors at a time. `unready` says why no event may run, as far as the vehicle goes. Raises
         Lost.

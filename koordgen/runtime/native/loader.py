@@ -31,7 +31,7 @@ LOOKS = 0.01  # seconds between looks whether that one is done
 
 
 class NotCompiled(Exception):
-    """There is no library; the message names it and the reason."""
+    """A library cannot be had. The message names the library and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,9 @@ class Library:
         until = time.monotonic() + self.patience
         with _lock(cache) as take:
             while True:
-                ours = take() or time.monotonic() >= until  # first: who had it may have left the library
+                ours = (
+                    take() or time.monotonic() >= until
+                )  # before the look: the process that had the lock may have left the library
                 if (library := self._kept(cache)) is not None:
                     return library
                 if ours:
@@ -83,7 +85,7 @@ class Library:
         return f"{self.name}-{digest[:16]}"
 
     def _kept(self, cache: Path) -> ctypes.CDLL | None:
-        """Return the library in the cache; what is spoilt there is deleted."""
+        """Return the library in the cache, or None. Damaged files are deleted."""
         for path in sorted(cache.glob(f"{self._stem}-*.so")):
             with suppress(NotCompiled, OSError):
                 if _sound(path):
@@ -93,7 +95,7 @@ class Library:
         return None
 
     def _make(self, places: Sequence[Path | None]) -> ctypes.CDLL:
-        """Compile in the first place where that can be. None: the system's own folder for temporary files."""
+        """Compile in the first of these folders that can be written. None stands for the system's temporary folder."""
         why = ""
         for place in places:
             try:

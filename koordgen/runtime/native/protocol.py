@@ -68,7 +68,7 @@ def use(modules: Sequence[str] = MODULES) -> bool:
     """
     try:
         found = _library(modules).find()
-    except OSError:  # a source that cannot be read: Python tells of it when it imports that
+    except OSError:  # a source cannot be read: importing it raises an error that names it
         return False
     if found is None:
         return False

@@ -39,12 +39,12 @@ _FORMAT = bytes([WIRE_FORMAT])
 
 
 def pack(message: Message) -> bytes:
-    """What of a datagram is sealed."""
+    """Return the part of a datagram that the MAC covers: the format byte and the encoded message."""
     return _FORMAT + encoder.encode(message)
 
 
 def encode(message: Message, key: bytes | None) -> bytes:
-    """A sealed datagram; the caller sees to its length."""
+    """Return a sealed datagram. Its length is not checked."""
     return seal(key, MEMORY, pack(message))
 
 
@@ -78,7 +78,7 @@ def decoder(key: bytes | None) -> Callable[[bytes], Message | str]:
 
 
 def entry_of(blob: bytes) -> Entry | None:
-    """The entry that came in fragments, or None when that is none."""
+    """Return the entry that arrived in fragments, or None if the bytes are no entry."""
     try:
         return _entries.decode(blob)
     except (ValueError, RecursionError):
@@ -86,7 +86,7 @@ def entry_of(blob: bytes) -> Entry | None:
 
 
 def snapshot_of(blob: bytes) -> Snapshot | None:
-    """The State that came in fragments, or None when that is none."""
+    """Return the snapshot that arrived in fragments, or None if the bytes are no snapshot."""
     try:
         return _states.decode(blob)
     except (ValueError, RecursionError):
@@ -94,13 +94,18 @@ def snapshot_of(blob: bytes) -> Snapshot | None:
 
 
 def epoch_of(boots: list[bytes]) -> bytes:
-    """The mission's name: a digest of all robots' boots in the order of their pids, so that robots which have met the
-    same boots agree on it without a coordinator."""
+    """Return the mission's name: a digest of all robots' boots in the order of their pids.
+
+    Robots that have met the same boots so agree on it without a coordinator.
+    """
     return blake2s(b"".join(boots), digest_size=8, person=b"k-epoch").digest()
 
 
 def overhead(n_sys: int) -> int:
-    """The most bytes a sealed datagram has beside its entries or a fragment's data, with `n_sys` robots."""
+    """Return the greatest number of bytes in a sealed datagram besides its entries or a fragment's data.
+
+    `n_sys`: robots of the fleet.
+    """
     token = bytes(8)
     echoes = tuple(Echo(MAX_ROBOTS - 1, TOP, TOP) for _ in range(min(MAX_ECHOES, n_sys)))
     head = Head(TOP, token, token, MAX_ROBOTS - 1, token, token, TOP, TOP, TOP, echoes)

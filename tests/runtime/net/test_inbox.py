@@ -290,7 +290,7 @@ class TestInC:
             assert (made.shown.spins, made.shown.failed) == (8, 8)
 
     def test_spinning_that_succeeds_goes_on(self) -> None:
-        """A datagram that is there at the first look counts as found by spinning, too."""
+        """Spinning counts as successful also if the datagram is there at the first look."""
         with in_c() as (made, sending):
             for i in range(1, 4):
                 made.wait(0.0002, 1, 0.0002)  # fails
@@ -317,7 +317,7 @@ class TestInC:
             assert 100 < resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before < 260  # 200 of 1 ms, if not late
 
     def test_the_pace_is_that_of_what_comes(self) -> None:
-        """The pace is that of arrivals, also if the inbox overslept them. It stays within bounds."""
+        """The pace follows the arrival times, also if the inbox woke after them, and stays within bounds."""
         with gathering(8, 0.001) as (made, gather):
             for _ in range(30):
                 gather()
