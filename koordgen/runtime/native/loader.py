@@ -206,6 +206,12 @@ def cache_folder() -> Path | None:
         return None
 
 
+def can_keep() -> bool:
+    """Return whether this user can keep libraries in its cache folder."""
+    cache = cache_folder()
+    return cache is not None and _private(cache) and os.access(cache, os.W_OK)
+
+
 @contextmanager
 def _lock(folder: Path) -> Iterator[Callable[[], bool]]:
     """Yield a function that tries to become the only process that compiles into the folder, until the block ends.

@@ -23,7 +23,7 @@ from importlib.util import find_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from koordgen.runtime.native.loader import Library, NotCompiled
+from koordgen.runtime.native.loader import Library, NotCompiled, can_keep
 
 ROOT = Path(__file__).resolve().parents[3]  # the folder that contains the package koordgen
 MODULES = (
@@ -87,10 +87,12 @@ def compile_modules(modules: Sequence[str] = MODULES) -> Path:
     Takes a minute, on a small computer several, and half a gigabyte of memory. Raises NotCompiled.
     """
     library = _library(modules)
+    if not can_keep():
+        raise library.fails("there is no folder to keep it in: let this user write to its cache folder, ~/.cache")
     library.load()
     found = library.find()
     if found is None:
-        raise library.fails("there is no folder to keep it in: let this user write to its cache folder, ~/.cache")
+        raise library.fails("there is no room to keep it: make some in this user's cache folder, ~/.cache")
     path = Path(found._name)
     command = [sys.executable, "-c", _IMPORT, str(ROOT), *modules]
     tried = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
