@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from koordgen.lang import resources
+from koordgen.lang.ir.decl import Meaning
+from koordgen.lang.ir.ports import declared
 from koordgen.lang.node import Node
 
 # The Platform interface of koordgen/runtime/vehicle/platform.py that this compiler's runtime offers.
@@ -58,8 +60,9 @@ class Feed(Node):
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
-    "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
-    `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports.
+    "Module.port" and say the Koord type, `meanings` what such a port means. `simulation` names the body and the
+    device that stand in for the real ones; `feed` how a base station finds it; `also` the other folders of targets/
+    whose files this one's code imports.
     `one_of` names packages among `requirements` of which one is enough.
     `actions` are what its robots can do when a property is violated: hold, come to rest (stop), land.
     `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
@@ -75,6 +78,7 @@ class Target(Node):
     sensors: dict[str, str]
     actuators: dict[str, str]
     callables: dict[str, str]
+    meanings: dict[str, Meaning]
     settings: dict[str, Setting]
     simulation: dict[str, str]
     feed: Feed | None
@@ -85,6 +89,16 @@ class Target(Node):
     actions: tuple[str, ...] = ACTIONS
     alone: str = ""
     one_of: tuple[str, ...] = ()
+
+    @property
+    def goal(self) -> tuple[str, str, str] | None:
+        """A module, its sensor of the robot's own position, and its actuator that holds there until it is written."""
+        for name, meaning in self.meanings.items():
+            module, _, port = name.partition(".")
+            held = self.meanings.get(f"{module}.{meaning.held}")
+            if held is not None and held.is_position:
+                return module, meaning.held, port
+        return None
 
     @property
     def modules(self) -> set[str]:
@@ -122,9 +136,12 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
     if raw["kind"] not in ("agent", "harness"):
         raise ValueError(f"kind is {raw['kind']!r}; it is 'agent' or 'harness'")
     ports: dict[str, dict[str, str]] = {"sensors": {}, "actuators": {}, "callables": {}}
+    meanings = {}
     for module, directions in raw.get("modules", {}).items():
         for direction, offered in directions.items():
-            ports[direction].update({f"{module}.{port}": koord_type for port, koord_type in offered.items()})
+            for port, text in offered.items():
+                name = f"{module}.{port}"
+                ports[direction][name], meanings[name] = declared(text)
     return Target(
         name=raw["name"],
         summary=raw["summary"],
@@ -134,6 +151,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         sensors=ports["sensors"],
         actuators=ports["actuators"],
         callables=ports["callables"],
+        meanings=meanings,
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
         feed=Feed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,

@@ -67,6 +67,7 @@ CATALOGUE: dict[str, str] = {
     "K056": "wrong use of a stream",
     "K057": "a value known in advance does not exist, or cannot be kept",
     "K058": "a loop invariant or 'old' has no place here",
+    "K059": "the meaning of a port does not fit",
     "F001": "not YAML",
     "F002": "unknown key",
     "F003": "missing key",
@@ -85,6 +86,7 @@ CATALOGUE: dict[str, str] = {
     "B007": "calls of ports may take too long for a round",
     "B008": "a round's writes of all robots are more than the link carries",
     "B009": "an event's writes may need several datagrams",
+    "B010": "the target's port means something else",
 }
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
 from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.ports import NO_MEANING, usual
 from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
@@ -54,7 +55,7 @@ def random_program(seed: int) -> d.Program:
         externs=(),
         specs=(),
         params=(),
-        modules=(_module(rng, types), d.Module("Log", (d.Port("stdout", STREAM, "stream", AT),), (), AT)),
+        modules=(_module(rng, types), d.Module("Log", (d.Port("stdout", STREAM, "stream", NO_MEANING, AT),), (), AT)),
         shared=(),
         locals=(),
         locks=(),
@@ -85,16 +86,22 @@ def _records(rng: Random) -> tuple[RecordType, ...]:
 
 
 def _module(rng: Random, types: list[Type]) -> d.Module:
+    seen = sized(rng.choice(types), rng, tight=0)
+    order = seen if rng.random() < 0.5 else sized(rng.choice(types), rng, tight=0)
+    held = "seen" if order == seen and rng.random() < 0.7 else ""
+    clears = tuple([name for name in ("near", "reached") if rng.random() < 0.5])
     ports = [
-        d.Port("position", POINT, "sensor", AT),
-        d.Port("reached", BOOL, "sensor", AT),
-        d.Port("seen", rng.choice(types), "sensor", AT),
-        d.Port("target", POINT, "actuator", AT),
-        d.Port("path", PATH, "actuator", AT),
-        d.Port("order", sized(rng.choice(types), rng, tight=0), "actuator", AT),
-        d.Port("planner", PLANNER, "callable", AT),
+        d.Port("position", POINT, "sensor", NO_MEANING, AT),
+        d.Port("reached", BOOL, "sensor", NO_MEANING, AT),
+        d.Port("seen", seen, "sensor", NO_MEANING, AT),
+        d.Port("near", BOOL, "sensor", NO_MEANING, AT),
+        d.Port("target", POINT, "actuator", NO_MEANING, AT),
+        d.Port("path", PATH, "actuator", NO_MEANING, AT),
+        d.Port("order", order, "actuator", d.Meaning(False, held, clears), AT),
+        d.Port("planner", PLANNER, "callable", NO_MEANING, AT),
     ]
-    return d.Module(MODULE, tuple(ports), (), AT)
+    meant = [replace(p, meaning=usual(p, ports)) if p.meaning == NO_MEANING else p for p in ports]
+    return d.Module(MODULE, tuple(meant), (), AT)
 
 
 def _params(rng: Random, types: list[Type]) -> tuple[d.Param, ...]:

@@ -13,6 +13,7 @@ from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from koordgen.build.bundle.budget import check_budget
 from koordgen.build.emit.program import program_text
 from koordgen.lang.ir import decl as d
+from koordgen.lang.ir.ports import clearable
 from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
 from koordgen.lang.node import replace
 from koordgen.lang.semantics import step
@@ -117,8 +118,8 @@ class _Both:
 
     def begin(self) -> State | None:
         """The state before round 1; None when an init fails, on both sides."""
-        own = [{"Motion.target": b.first["Motion.position"], "Motion.reached": True} for b in self.bodies]
-        given = [{**self.meant(b.first), **rest} for b, rest in zip(self.bodies, own, strict=True)]
+        uncommanded = dict.fromkeys(clearable(self.program), True)
+        given = [{**self.meant(b.first), **uncommanded} for b in self.bodies]
         first = step.initial(self.program, N_SYS, given)
         state, steps = step.run_init(self.program, first, self.semantics.world)
         wrong = any(not isinstance(s.outcome, Writes) for s in steps)

@@ -105,7 +105,7 @@ def _assumptions(
 
 def test_properties_mean_the_same_as_generated_code() -> None:
     seen: Counter[str] = Counter()
-    for seed in range(25):
+    for seed in range(50):
         agree(seed, seen)
     for outcome in ("held", "violated", "no value"):
         assert seen[outcome] >= 20 and seen[f"assumption {outcome}"] >= 8, seen

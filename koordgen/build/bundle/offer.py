@@ -7,6 +7,8 @@ from collections.abc import Container, Iterable, Iterator
 from koordgen.fleet.manifest import Target
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir.decl import Module, Port, Program
+from koordgen.lang.ir.ports import NO_MEANING, spelled
+from koordgen.lang.node import replace
 
 
 def check_ports(program: Program, targets: Iterable[Target], driven: Container[str] = ()) -> list[Diagnostic]:
@@ -30,6 +32,19 @@ def _module(module: Module, target: Target) -> Iterator[Diagnostic]:
         yield from _port(module, port, target)
 
 
+def _meaning(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
+    """What the program does not declare may be cleared or not."""
+    offered, known = target.meanings[f"{module.name}.{port.name}"], {p.name for p in module.ports}
+    meant, wanted = (
+        replace(meaning, clears=tuple(sorted([name for name in meaning.clears if name in known])))
+        for meaning in (port.meaning, offered)
+    )
+    if meant != wanted:
+        message = f"target {target.name} offers {port.type} {module.name}.{port.name} {spelled(wanted)}".rstrip()
+        help = f"behind its name stands '{spelled(meant)}' here" if meant != NO_MEANING else "here nothing is said"
+        yield Diagnostic("B010", "error", message, port.span, help=help)
+
+
 _KINDS = {"sensor": "a sensor", "actuator": "an actuator", "callable": "a callable port"}
 
 
@@ -39,6 +54,7 @@ def _port(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
     same = tables.pop(port.direction)
     other = next((direction for direction, table in tables.items() if name in table), None)
     if name in same and same[name] == str(port.type):
+        yield from _meaning(module, port, target)
         return
     if name in same:
         message = f"{name} is of type {same[name]} on target {target.name}, not {port.type}"

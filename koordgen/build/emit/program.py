@@ -14,6 +14,7 @@ from koordgen.build.emit.render import render
 from koordgen.build.emit.types import annotation, bound, default, display
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir.encoding import encode
+from koordgen.lang.ir.ports import clears, held
 from koordgen.lang.ir.stmt import Block
 from koordgen.lang.ir.types import MapOf, RecordType, TupleOf, Type
 from koordgen.lang.ir.types import Sequence as SequenceOf
@@ -76,7 +77,7 @@ def _values(program: ir.Program, names: Names) -> dict[str, Any]:
         "functions": [_function(f, program, names) for f in program.functions],
         "locals": [_variable(v, "local", names.locals, program, names) for v in program.locals],
         "shared": [_variable(v, v.kind, names.shared, program, names) for v in program.shared],
-        "ports": [_port(m, p, names) for m in program.modules for p in m.ports],
+        "ports": [_port(program, m, p, names) for m in program.modules for p in m.ports],
         "init": _block(program.init, program, names) if program.init else "",
         "events": [_event(e, program, names) for e in program.events],
         "locks": display([display([expr.literal(name) for name in group]) for group in program.locks]),
@@ -180,14 +181,20 @@ def _extern(function: ir.ExternFunction, program: ir.Program, names: Names) -> d
     }
 
 
-def _port(module: ir.Module, port: ir.Port, names: Names) -> dict[str, str]:
-    actuator = port.direction == "actuator"
+def _port(program: ir.Program, module: ir.Module, port: ir.Port, names: Names) -> dict[str, str]:
+    name, rest = f"{module.name}.{port.name}", ", is_position=True" if port.meaning.is_position else ""
+    if port.direction == "actuator":
+        rest = f", {bound(port.type, names)}, lambda: {default(port.type, names)}"
+        if sensor := held(program).get(name):
+            rest += f", held={expr.literal(sensor)}"
+        if cleared := clears(program).get(name):
+            rest += f", clears=({', '.join(map(expr.literal, cleared))},)"
     return {
-        "name": expr.literal(f"{module.name}.{port.name}"),
+        "name": expr.literal(name),
         "attribute": names.ports[module.name, port.name],
         "direction": port.direction,
         "type": annotation(port.type, names),
-        "rest": f", {bound(port.type, names)}, lambda: {default(port.type, names)}" if actuator else "",
+        "rest": rest,
     }
 
 

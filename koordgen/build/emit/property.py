@@ -17,8 +17,8 @@ from koordgen.lang.ir import expr as e
 from koordgen.lang.ir.types import POINT, POSE
 from koordgen.lang.node import nodes
 
-# Ports of a body that a harness can measure itself, by their types; what else there is the robot says.
-_MEASURED = {"position": POINT, "velocity": POINT, "pose": POSE}
+# Sensors of a body that a harness can measure itself, beside its position, by their types; all others the robot says.
+_MEASURED = {"velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
 
 
@@ -70,7 +70,7 @@ def _values(program: ir.Program, names: _Names, driven: Collection[str]) -> dict
                 for m in program.modules
                 if m.name not in driven
                 for p in m.ports
-                if p.direction == "sensor" and _MEASURED.get(p.name) == p.type
+                if p.meaning.is_position or (p.direction == "sensor" and _MEASURED.get(p.name) == p.type)
             ]
         ),
     }

@@ -45,9 +45,9 @@ param List<Point> first max 128 = []
 param List<Point> shift max 128 = []  # from where it is then to the second
 param List<int> last max 128 = []  # round
 
-using Motion:
-  sensors: Point position
-  actuators: Point target
+using {module}:
+  sensors: Point {position} as position
+  actuators: Point {goal} at {position}
 
 local: int now = 0
 
@@ -56,7 +56,7 @@ RunUp:
   eff:
     now = 1
     if pid < len(first):
-      Motion.target = first[pid]
+      {module}.{goal} = first[pid]
 
 Wait:
   pre: 0 < now and pid < len(last) and now < last[pid]
@@ -67,7 +67,7 @@ Go:
   eff:
     now = now + 1
     if pid < len(shift):
-      Motion.target = Motion.position + shift[pid]
+      {module}.{goal} = {module}.{position} + shift[pid]
 """
 
 
@@ -179,8 +179,7 @@ def check(probe: Probe) -> None:
     """Raises BadProbe for what cannot be probed."""
     platform = probe.platform
     target = manifest.load(platform.target)
-    if "Motion.position" not in target.sensors or "Motion.target" not in target.actuators:
-        raise BadProbe(f"{platform.name}: target {platform.target} has no Motion with a position and a target")
+    program_of(target)
     if platform.robot.get(_harness().name, {}).get("autopilot") == "external":
         raise BadProbe(f"{platform.name} is flown by an external autopilot, which knows real time only")
     if not 1 <= probe.robots <= MOST_ROBOTS:
@@ -221,11 +220,19 @@ def drawn(probe: Probe, part: int) -> dict[str, Any]:
     }
 
 
+def program_of(target: manifest.Target) -> str:
+    """Return the program that probes robots of a target. Raises BadProbe."""
+    if target.goal is None:
+        raise BadProbe(f"target {target.name} offers no way to send a robot to a place")
+    module, position, goal = target.goal
+    return PROGRAM.format(module=module, position=position, goal=goal)
+
+
 def built(probe: Probe, part: int, folder: Path) -> None:
     """Writes program and fleet and builds their bundle into `folder`. Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
     program, fleet = folder / "probe.koord", folder / "fleet.yaml"
-    program.write_text(PROGRAM, encoding="utf-8")
+    program.write_text(program_of(manifest.load(probe.platform.target)), encoding="utf-8")
     fleet.write_text(yaml.safe_dump(drawn(probe, part), sort_keys=False), encoding="utf-8")
     for path, file in probe.platform.beside.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
@@ -295,8 +302,8 @@ def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
             match record:
                 case {"kind": "pose", "t": t, "pid": pid, "position": [x, y, z], "yaw": yaw}:
                     poses.setdefault(pid, []).append((t, x, y, z, yaw))
-                case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": {"Motion.target": target}}:
-                    gone[pid] = t, target
+                case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": written} if written:
+                    gone[pid] = t, next(iter(written.values()))  # it has one actuator
     if missing := set(poses) - set(gone):
         why = f"{trace}: robot {min(missing)} never came to its second target"
         raise BadProbe(why, "look at the run's folder; its report is made by `koordgen report`")

@@ -75,12 +75,31 @@ class SpecFunction(Node):
     span: Span
 
 
+class Meaning(Node):
+    """What a port means beside its value. The names are those of sensors of the same module.
+
+    `is_position`: the sensor, a Point, is where the robot itself is.
+    `held`: the sensor whose value the actuator has before it is written, since an unset actuator holds; "" for the
+    type's default. A program need not declare that sensor: then the value may be any.
+    `clears`: bool sensors that are true until the first command, and false from a command of this actuator on, until
+    the robot says otherwise. Those that the program does not declare play no part in it.
+    """
+
+    is_position: bool
+    held: str
+    clears: tuple[str, ...]
+
+
 class Port(Node):
-    """One port of a module. A callable port has the type PathPlanner, a stream the type stream."""
+    """One port of a module. A callable port has the type PathPlanner, a stream the type stream.
+
+    `meaning` is what all back ends go by; see `ports`, which reads it.
+    """
 
     name: str
     type: Type
     direction: Literal["sensor", "actuator", "callable", "stream"]
+    meaning: Meaning
     span: Span
 
 

@@ -51,7 +51,7 @@ from typing import Any, Final
 from koordgen.lang.ir import decl, expr, stmt, types
 from koordgen.lang.node import Node
 
-VERSION: Final = 1
+VERSION: Final = 2
 HEADER: Final = b"koord-ir\0"
 
 # A field's sign says how it is encoded: `~` a temporary's name (or a tuple of them), `:` a type (or a tuple of them)
@@ -121,7 +121,8 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     decl.ExternFunction: (0x74, "name parameters result requires ensures"),
     decl.ExternType: (0x75, "name"),
     decl.SpecFunction: (0x76, "name parameters result"),
-    decl.Port: (0x77, "name type =direction"),
+    decl.Port: (0x77, "name type =direction meaning"),
+    decl.Meaning: (0x7F, "is_position held clears"),
     decl.Assumption: (0x78, "formula"),
     decl.Module: (0x79, "name ports assumptions"),
     decl.Shared: (0x7A, "name kind type initial"),

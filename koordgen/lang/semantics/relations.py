@@ -47,7 +47,7 @@ def post(program: decl.Program, state: State, order: Sequence[int], world: World
     """Every state after the robots of `order` took one step each, in that order: the state itself where it is empty."""
     states = [state]
     for pid in order:
-        states = _distinct(applied(s, c) for s in states for c in choices(program, s, pid, state.store, world))
+        states = _distinct(applied(program, s, c) for s in states for c in choices(program, s, pid, state.store, world))
     return states
 
 

@@ -12,11 +12,11 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir.ports import clears, held
 from koordgen.lang.semantics.eval import Discarded, View, evaluate, holds
 from koordgen.lang.semantics.exec import Budget, Writes, constant, library, run
 from koordgen.lang.semantics.state import NOTHING, Robot, State, Store, World, nobody
 from koordgen.lang.semantics.values import RecordValue, Value, default
-from koordgen.runtime.values.points import Point
 
 
 class Step(NamedTuple):
@@ -55,10 +55,8 @@ def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Va
 
 
 def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
-    """The targets of a robot that nothing was commanded yet."""
-    targets = [m.name for m in program.modules for p in m.ports if (p.name, p.direction) == ("target", "actuator")]
-    places = {f"{module}.target": sensors.get(f"{module}.position") for module in targets}
-    return {name: place for name, place in places.items() if isinstance(place, Point)}
+    """Actuators of a robot that nothing was commanded yet, which hold at what their sensors say."""
+    return {name: sensors[sensor] for name, sensor in held(program).items() if sensor in sensors}
 
 
 def no_port(port: str, args: tuple[Value, ...]) -> Value:
@@ -70,7 +68,7 @@ def run_init(program: decl.Program, state: State, world: World = NOTHING) -> tup
     """Every robot's init, each on the store before it; round 1 comes next. Where one of them is discarded, no mission
     begins: nothing goes on from the state that is returned then."""
     steps = [Step(pid, None, execute(program, program.init, state, pid, world)) for pid in range(len(state.robots))]
-    return _all_applied(state, steps)._replace(round=1), steps
+    return _all_applied(program, state, steps)._replace(round=1), steps
 
 
 def round_(
@@ -99,7 +97,7 @@ def round_(
         else:
             plain.append(Step(pid, None, None))
     steps = commits + plain
-    return _all_applied(state, steps)._replace(round=state.round + 1), steps
+    return _all_applied(program, state, steps)._replace(round=state.round + 1), steps
 
 
 def select(program: decl.Program, state: State, pid: int, world: World = NOTHING) -> decl.Event | Step | None:
@@ -144,13 +142,13 @@ def sense(state: State, sensors: Sequence[Mapping[str, Value]]) -> State:
     return state._replace(robots=robots)
 
 
-def applied(state: State, step: Step) -> State:
-    """A state after what one step wrote, all of it together. Who was given a new goal has not `reached` it."""
+def applied(program: decl.Program, state: State, step: Step) -> State:
+    """A state after what one step wrote, all of it together, and the sensors that its commands clear."""
     pid, outcome = step.pid, step.outcome
     if not isinstance(outcome, Writes):
         return state
-    sent = {name.rpartition(".")[0] for name in outcome.ports if name.endswith((".target", ".path"))}
-    cleared = {f"{module}.reached": False for module in sent if f"{module}.reached" in state.robots[pid].ports}
+    commanded = clears(program) if outcome.ports else {}
+    cleared = {sensor: False for name in outcome.ports for sensor in commanded.get(name, ())}
     ports = {**state.robots[pid].ports, **cleared, **outcome.ports}
     robots = list(state.robots)
     robots[pid] = Robot(dict(outcome.locals), ports, outcome.stopped)
@@ -160,9 +158,9 @@ def applied(state: State, step: Step) -> State:
     return state._replace(robots=tuple(robots), store=Store(slots, {**state.store.cells, **outcome.cells}))
 
 
-def _all_applied(state: State, steps: Sequence[Step]) -> State:
+def _all_applied(program: decl.Program, state: State, steps: Sequence[Step]) -> State:
     for step in steps:
-        state = applied(state, step)
+        state = applied(program, state, step)
     return state
 
 

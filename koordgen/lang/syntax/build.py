@@ -70,7 +70,19 @@ def ports(c: Children) -> decl.Ports:
 
 
 def port(c: Children) -> decl.Port:
-    return decl.Port(c[0], c[1][1], token_span(c[1]))
+    return decl.Port(c[0], c[1][1], nodes(c[2:]), token_span(c[1]))
+
+
+def position_mark(c: Children) -> decl.Mark:
+    return decl.Mark("as", c[1][1], token_span(c[1]))
+
+
+def held_mark(c: Children) -> decl.Mark:
+    return decl.Mark("at", c[1][1], token_span(c[1]))
+
+
+def clears_mark(c: Children) -> decl.Mark:
+    return decl.Mark("clears", c[1][1], token_span(c[1]))
 
 
 def bare_port(c: Children) -> decl.Ports:
@@ -463,7 +475,7 @@ def broken_variable(c: Children) -> decl.Variable:
 
 def broken_port(c: Children) -> decl.Port:
     _, name, _, _, _, span = c[0]
-    return decl.Port(types.BrokenType(span), name, span)
+    return decl.Port(types.BrokenType(span), name, (), span)
 
 
 def broken_bare_port(c: Children) -> decl.Ports:

@@ -11,11 +11,20 @@ from koordgen.lang.syntax.stmt import Block
 from koordgen.lang.syntax.types import TypeExpr
 
 
+class Mark(Node):
+    """What a port means: `as position`, `at sensor`, `clears sensor`; its span is the name's."""
+
+    word: Literal["as", "at", "clears"]
+    name: str
+    span: Span
+
+
 class Port(Node):
-    """`Type name` under `sensors`, under `actuators`, or directly under `using`; its span is the name's."""
+    """`Type name marks` under `sensors` or `actuators`; `Type name` directly under `using`. Its span is the name's."""
 
     type: TypeExpr
     name: str
+    marks: tuple[Mark, ...]
     span: Span
 
 

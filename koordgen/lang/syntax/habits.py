@@ -213,7 +213,8 @@ def _types(spot: Spot) -> Diagnostic | None:
     if spot.kind == "[" and spot.before_is("NAME") and spot.expected == {"=", "NEWLINE"}:
         help = f"a list is declared List<{shown(spot.head[0][1])}> {shown(spot.head[-1][1])}"
         return spot.error("a variable of a block has no size", help)
-    if spot.kind == "=" and spot.expected == {"NEWLINE"} and spot.tokens[0][0] == "using":
+    behind_port = "NEWLINE" in spot.expected and spot.expected <= {"NEWLINE", "as", "at", "clears", ","}
+    if spot.kind == "=" and behind_port and spot.tokens[0][0] == "using":
         return spot.error("a port has no initial value")
     return None
 

@@ -28,7 +28,7 @@ KEYWORDS = frozenset(
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
 # Words of the language in one place each, names elsewhere.
-_SOFT = frozenset(("max", "type", "requires", "ensures", "priority"))
+_SOFT = frozenset(("max", "type", "requires", "ensures", "priority", "as", "at", "clears"))
 _MARKS = frozenset(
     (
         "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
@@ -289,6 +289,10 @@ class _Layout:
         if text == "max":  # behind `Type name` or `Type name[size]`
             before = tokens[-2][0] if len(tokens) > 1 else ""
             meant = before != "[" if last == "]" else last == "NAME" and before in ("NAME", ">", "]", ")")
+        elif text in ("as", "at", "clears"):  # behind `Type name` of a port, and the names of another mark
+            before = tokens[-2][0] if len(tokens) > 1 else ""
+            named = last == "NAME" and before in ("NAME", ">", "]", ")", ",", "as", "at", "clears")
+            meant = named and tokens[0][0] == "using"
         elif text == "type":
             meant = last == "extern"
         elif text == "priority":  # at the left margin

@@ -34,10 +34,10 @@ from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
-from koordgen.runtime.values.points import Point, transmissible
+from koordgen.runtime.values.points import transmissible
 from koordgen.runtime.vehicle.body import Body
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
-from koordgen.runtime.vehicle.safety import Guard
+from koordgen.runtime.vehicle.safety import Guard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
@@ -88,7 +88,8 @@ class Agent:
         fence, budget = settings.geofence, settings.planner_budget
         self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
-        self._guard = Guard(settings.safety, settings.geofence)
+        self._positions = tuple(p.name for p in program.ports if p.is_position)
+        self._guard = Guard(settings.safety, settings.geofence, self._positions)
         self._unready: str | None = None  # why no event may run as far as the body goes
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None
@@ -131,10 +132,9 @@ class Agent:
         seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was sent to; and what
         happened lately (see `recent`)."""
         sensed, found = self._platform.sense(now), vitals(self._platform)
-        places = (v for name, v in sensed.values.items() if name.endswith(".position") and isinstance(v, Point))
-        position = next(filter(transmissible, places), None)
+        position = own_position(sensed, self._positions)
         pose: dict[str, Any] | None = None
-        if position is not None and sensed.time is not None:
+        if position is not None and transmissible(position) and sensed.time is not None:
             place = [round(c, 3) for c in (position.x, position.y, position.z)]
             yaw = None if found.yaw is None else round(found.yaw, 4)
             pose = {"position": place, "yaw": yaw, "age": round(max(0.0, now - sensed.time), 3)}

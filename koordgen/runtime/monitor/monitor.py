@@ -36,7 +36,6 @@ SHARE = 0.03  # of the agent's processor time: what properties that are only log
 LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
 BUDGET = 0.1  # of delta: what the properties of one round may take, all together
 MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
-GOALS = ("target", "path")
 LOOPS = "loop invariants"  # their name in the settings, all together
 
 Tell = Callable[[Change], None]
@@ -93,6 +92,7 @@ class Monitors:
         self._rows = {name: [UNKNOWN] * n for name in self._known.each}
         one = self._step.one
         primed = frozenset[str]().union(*(watched.reads for watched in self._assumptions))
+        self._clears = program.clears
         self._ports = [
             (p.name, p.direction == "sensor", one[p.name], one[f"{p.name}'"])
             for p in program.ports
@@ -214,12 +214,10 @@ class Monitors:
         if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
             return
         commanded = before.effects.actuators if before.effects is not None else ()
-        moved = {module for module, _, port in (name.rpartition(".") for name in commanded) if port in GOALS}
+        cleared = {sensor for name in commanded for sensor in self._clears.get(name, ())}
         for name, senses, first, then in self._ports:
             if senses:
-                module, _, port = name.rpartition(".")
-                unreached = port == "reached" and module in moved
-                first.content = False if unreached else usable(before.sensors[name])
+                first.content = False if name in cleared else usable(before.sensors[name])
                 then.content = usable(after.sensors[name])
             else:
                 first.content = then.content = actuators[name]

@@ -221,13 +221,22 @@ class Variable:
 @dataclass(frozen=True, slots=True)
 class Port:
     """A port, named "Module.port". `type` is that of a sensor's or actuator's value, or of a call's result. An actuator
-    has a `bound`, and `unset` makes the value that it has before it is written."""
+    has a `bound`, and `unset` makes the value that it has before it is written.
+
+    `is_position`: the sensor says where the robot itself is (Point, local ENU, metres). `held`: the sensor whose value
+    the actuator has before it is written, instead of `unset`; the program may not declare it. `clears`: sensors of the
+    program that are true before any command, and false from a command of this actuator on until the robot says
+    otherwise.
+    """
 
     name: str
     direction: Literal["sensor", "actuator", "callable", "stream"]
     type: Any
     bound: Bound | None = None
     unset: Callable[[], Any] | None = None
+    is_position: bool = False
+    held: str = ""
+    clears: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +272,11 @@ class Program:
     locks: tuple[tuple[str, ...], ...] = ()
     library: Library | None = None
     bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # by name, of all that has one
+
+    @property
+    def clears(self) -> dict[str, tuple[str, ...]]:
+        """The sensors that a command of an actuator clears, for each actuator of which there are some."""
+        return {port.name: port.clears for port in self.ports if port.clears}
 
     def __post_init__(self) -> None:
         targets: tuple[Variable | Port, ...] = (*self.locals, *self.shared, *self.ports)

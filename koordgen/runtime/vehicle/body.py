@@ -15,8 +15,6 @@ from koordgen.runtime.values.points import Point, transmissible
 from koordgen.runtime.vehicle.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.vehicle.safety import clamped
 
-_GOALS, _REACHED = ("target", "path"), ".reached"
-
 
 class Body:
     """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
@@ -43,10 +41,11 @@ class Body:
         self._budget = budget
         self._warn = warn
         self._sensors = tuple(p.name for p in program.ports if p.direction == "sensor")
-        self._reached = tuple((name, name[: -len(_REACHED)]) for name in self._sensors if name.endswith(_REACHED))
+        self._clears = program.clears
+        self._clearable = {sensor for cleared in self._clears.values() for sensor in cleared}
         self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
         self._callables = {p.name: p.type for p in program.ports if p.direction == "callable"}
-        self._commanded: dict[str, float] = {}  # module -> when its target or path was written last
+        self._cleared: dict[str, float] = {}  # sensor -> when a command cleared it last
         self._fenced: tuple[str, ...] = ()
         self._reasons: set[str] = set()
         self._retired = False
@@ -55,24 +54,23 @@ class Body:
         self.slow_calls = 0
 
     def begin(self, sensed: Sensed) -> None:
-        """Before `init`: an actuator that was never written holds, so `target` is where the robot is. Raises Unready
+        """Before `init`: an actuator that was never written holds, some of them at what a sensor says. Raises Unready
         when the target lacks a port."""
         for name in self._sensors:
             if name not in sensed.values:
                 raise Unready(f"this target has no port {name}", "build the program for a target that offers it")
         for port in self._actuators:
-            position = sensed.values.get(port.name.rpartition(".")[0] + ".position")
-            if port.name.endswith(".target") and isinstance(position, Point):
-                self.actuators[port.name] = position
+            if port.held in sensed.values:
+                self.actuators[port.name] = sensed.values[port.held]
             elif port.unset is not None:
                 self.actuators[port.name] = port.unset()
 
     def sensors(self, sensed: Sensed) -> dict[str, Any]:
-        """The program's sensor ports. `reached` is true before any command, and after one false until the platform
-        judged by a position that is younger than the command."""
+        """The program's sensor ports. One that commands clear is true before any command, and after one false until the
+        platform judged by a position that is younger than the command."""
         values = {name: sensed.values[name] for name in self._sensors}
-        for name, module in self._reached:
-            since = self._commanded.get(module)
+        for name in self._clearable:
+            since = self._cleared.get(name)
             if since is None:
                 values[name] = True
             elif sensed.time is None or sensed.time <= since:
@@ -125,9 +123,8 @@ class Body:
             return
         self.actuators = {**self.actuators, **written}  # frames of earlier rounds keep theirs
         for name in written:
-            module, _, port = name.rpartition(".")
-            if port in _GOALS:
-                self._commanded[module] = now
+            for sensor in self._clears.get(name, ()):
+                self._cleared[sensor] = now
         inside, moved = clamped(self._fence, written)
         if moved and tuple(moved) != self._fenced:
             self._warn("; ".join(f"{n} = {written[n]} is outside the geofence, commanding {inside[n]}" for n in moved))

@@ -1,12 +1,13 @@
 """The safety layer: geofence, own position stale or outside. Pure: it judges, the agent acts.
 
-Frames: local ENU metres. A robot's own position is its sensor called `<Module>.position`.
+Frames: local ENU metres. A robot's own position is the sensor that its program declares as such; if it declares none,
+the one that its platform calls `<Module>.position`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -44,19 +45,18 @@ def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], lis
     return moved, [name for name, value in moved.items() if value != actuators[name]]
 
 
-def own_position(sensed: Sensed) -> Point | None:
-    """The robot's own position, if its target offers one."""
-    for name, value in sensed.values.items():
-        if name.endswith(".position") and isinstance(value, Point):
-            return value
-    return None
+def own_position(sensed: Sensed, declared: Sequence[str] = ()) -> Point | None:
+    """Return the robot's own position, if there is one; `declared` are the sensors that the program declares as it."""
+    offered = [name for name in sensed.values if name.endswith(".position")]
+    places = (sensed.values.get(name) for name in (*declared, *offered))
+    return next((place for place in places if isinstance(place, Point)), None)
 
 
 class Guard:
-    """Watches one robot's own position from the moment it is ready."""
+    """Watches one robot's own position from the moment it is ready; `declared`: see own_position."""
 
-    def __init__(self, safety: Safety, fence: Box) -> None:
-        self._safety = safety
+    def __init__(self, safety: Safety, fence: Box, declared: Sequence[str] = ()) -> None:
+        self._safety, self._declared = safety, declared
         self._fence = fence
         self._since = math.inf  # when watching began
         self._outside: float | None = None
@@ -65,7 +65,7 @@ class Guard:
         """What the sensors at local time `now` demand."""
         self._since = min(self._since, now)
         age = now - (self._since if sensed.time is None else sensed.time)
-        position = own_position(sensed)
+        position = own_position(sensed, self._declared)
         if position is not None and not all(map(math.isfinite, (position.x, position.y, position.z))):
             position, age = None, max(age, now - self._since)
             if age <= self._safety.position_lost:

@@ -267,7 +267,7 @@ class Judge:
         if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
             self.counts[name, WELL_DEFINED] += 1
         broken = self._at_head(name, pid, _seen(event, start, now), outcome)
-        after = applied(now, Step(pid, name, outcome))
+        after = applied(self.program, now, Step(pid, name, outcome))
         return after, self._act(name, pid), broken or self.judged(after, name)
 
     def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:

@@ -13,6 +13,8 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.ports import clearable, held, positions
+from koordgen.lang.ir.ports import ports as named_ports
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
 from koordgen.lang.ir.types import Sequence as SequenceType
 from koordgen.lang.node import Node
@@ -49,13 +51,9 @@ class States:
         self.free = [p for p in program.params if p.name in set(free)]
         ports = [(m, p) for m in program.modules for p in m.ports]
         self.sensors = [(f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction == "sensor"]
-        # An unset target is where the robot is; in a module without `position` nothing tells where that is.
-        self.targets = {
-            f"{m.name}.target": f"{m.name}.position"
-            for m, p in ports
-            if (p.name, p.direction, p.type) == ("target", "actuator", POINT)
-            and all(other.type == POINT for other in m.ports if other.name == "position")
-        }
+        self.types = {name: port.type for name, _, port in named_ports(program)}
+        self.held = held(program)
+        self.cleared, self.positions = clearable(program), positions(program)
         self.usual: State | None = None
         self.variables = [("local", v.name, v.type) for v in program.locals]
         self.variables += [("slot" if v.kind == "allread" else "cell", v.name, v.type) for v in program.shared]
@@ -104,17 +102,22 @@ class States:
     def _launched(self, blank: State, pid: int, attempt: int) -> Robot:
         found: dict[str, Value] = {}
         for name, type_ in self.sensors:
-            pool = self.pools.first(name, type_, blank) if name.endswith(".reached") else self.pool(type_, blank)
+            pool: list[Value] = [True] if name in self.cleared else self.pool(type_, blank)
             if pool and attempt == 0:
                 found[name] = pool[pid % len(pool)]
             else:
                 found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
-        for name, position in self.targets.items():
-            pool = self.pool(POINT, blank)
-            elsewhere = pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
-            found[name] = found.get(position, elsewhere)
+        for name, sensor in self.held.items():  # of a sensor that is not declared nothing tells the value
+            found[name] = found[sensor] if sensor in found else self._elsewhere(name, blank, pid, attempt)
         robot = blank.robots[0]
         return robot._replace(ports={**robot.ports, **found})
+
+    def _elsewhere(self, name: str, blank: State, pid: int, attempt: int) -> Value:
+        type_ = self.types[name]
+        pool = self.pool(type_, blank)
+        if not pool:
+            return self.value(type_, blank)
+        return pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
 
     # The environment's step
 
@@ -131,7 +134,7 @@ class States:
     def _arrived(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value]) -> Value:
         if type_ == POINT and goals:
             return goals[0]
-        return True if type_ == BOOL and name.endswith(".reached") else ports[name]
+        return True if name in self.cleared else ports[name]
 
     def _moved(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value], now: State) -> Value:
         chance = self.random.random()
@@ -165,7 +168,8 @@ class States:
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
         """Propose answers of a planner in a drawn order: no way, the straight way, a detour, the goal alone."""
-        position = state.robots[pid].ports.get(f"{port.partition('.')[0]}.position")
+        module = port.partition(".")[0]
+        position = next((state.robots[pid].ports[n] for n in self.positions if n.partition(".")[0] == module), None)
         goal = next((arg for arg in args if isinstance(arg, Point)), None)
         ways: list[Value] = [()]
         if goal is not None:

@@ -26,6 +26,7 @@ class Whole:
         self.round = mission.first - 1
         self.values: dict[str, Any] = {}
         self._meaning, self._stories = meaning, stories
+        self._clears = meaning.found.program.clears
         program = meaning.program
         ports = [(f"{m.name}.{p.name}", p.direction) for m in program.modules for p in m.ports]
         self.sensors = [name for name, direction in ports if direction == "sensor"]
@@ -47,12 +48,9 @@ class Whole:
             first = variable.initial()
             self.values[variable.name] = first if variable.kind == "allwrite" else [first] * n
         self._sample(0)
-        unset = {
-            p.name: p.unset() if p.unset is not None else UNKNOWN for p in found.ports if p.name in self._actuators
-        }
-        for name, value in unset.items():
-            place = self.values.get(name.rpartition(".")[0] + ".position", [UNKNOWN] * n)
-            self.values[name] = place if name.endswith(".target") else [value] * n
+        for port in (p for p in found.ports if p.name in self._actuators):
+            value = port.unset() if port.unset is not None and not port.held else UNKNOWN
+            self.values[port.name] = self.values.get(port.held, [value] * n)
 
     def advance(self) -> None:
         """To right after the next round's events; round 0 is `init`."""
@@ -63,7 +61,7 @@ class Whole:
             self.values[name] = [own.get(name, UNKNOWN) for own in self._own]
         self._sample(self.round)
         for pid in range(len(self._stories)):
-            self._new_goals(pid)
+            self._clear(pid)
         for name in self._actuators:
             self.values[name] = [
                 UNKNOWN if story.out_at(self.round) else own.get(name, UNKNOWN)
@@ -107,13 +105,12 @@ class Whole:
         for group in ("locals", "actuators"):
             own.update(self._meaning.values(told.get(group, {})))
 
-    def _new_goals(self, pid: int) -> None:
-        """A goal that was just written is not reached until a sensor says otherwise."""
+    def _clear(self, pid: int) -> None:
+        """A sensor that a command has cleared is false until the robot says otherwise."""
         for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
-            module, _, port = name.rpartition(".")
-            reached = self.values.get(f"{module}.reached")
-            if port in ("target", "path") and reached is not None and reached[pid] is not UNKNOWN:
-                reached[pid] = False
+            for sensor in self._clears.get(name, ()):
+                if self.values[sensor][pid] is not UNKNOWN:
+                    self.values[sensor][pid] = False
 
     def _sample(self, round_: int) -> None:
         samples = [self.sampled(pid, round_) for pid in range(len(self._stories))]

@@ -12,6 +12,7 @@ from koordgen.fleet.located import Reader, Report, YamlNode
 from koordgen.lang.check.sections.params import BadParam, with_params
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Const
+from koordgen.lang.ir.ports import position_beside
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, SCAN, TupleOf, Type, list_of
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.step import initial
@@ -45,18 +46,18 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
         if mistakes:
             return None
     for pid in range(n_sys):
-        _complete(found.of(pid), sensors, called)
+        _complete(found.of(pid), program, sensors, called)
     return found
 
 
-def _complete(found: Environment, sensors: dict[str, Type], called: Sequence[str]) -> None:
+def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type], called: Sequence[str]) -> None:
     missing = [name for name in (*sensors, *called) if name not in found.domains and name not in found.answers]
     if missing:
         kind = f"answers, one of {', '.join(ANSWERS)}" if missing[0] in called else "values, a finite number of them"
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
         raise Lacking(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
     for name, answers in found.answers.items():
-        if STRAIGHT in answers and sensors.get(f"{name.partition('.')[0]}.position") != POINT:
+        if STRAIGHT in answers and not position_beside(program, name):
             raise Lacking(f"{name}: a straight way begins at a position, and the program has no such sensor beside it")
 
 
@@ -189,7 +190,7 @@ class _File:
 
     def _lidar(self, node: YamlNode, name: str, type_: Type) -> Domain:
         reader = self.reader
-        if type_ != SCANS or self.sensors.get(f"{name.partition('.')[0]}.position") != POINT:
+        if type_ != SCANS or not position_beside(self.program, name):
             reader.report("F004", f"{name} is of type {type_}: a lidar sees List<Point, Scan> from a position", node)
             return Domain(())
         table = reader.table(

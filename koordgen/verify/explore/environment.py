@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import PortCall, PortRead
+from koordgen.lang.ir.ports import position_beside
 from koordgen.lang.node import nodes
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning
@@ -53,7 +54,7 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
     none of it."""
     params = initial(program, 1).params
     judges = {port: _judges(program, port) for port in environment.answers}
-    read = {port: _sensors(rules, port) for port, rules in judges.items()}
+    read = {port: _sensors(program, rules, port) for port, rules in judges.items()}
     known: dict[Hashable, tuple[Any, ...]] = {}
 
     def allowed(pid: int, sensors: Mapping[str, Any], asked: Asked) -> bool:
@@ -70,7 +71,7 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
 
     def asked_anew(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
         given = [
-            (sensors[f"{port.partition('.')[0]}.position"], args[0]) if answer == STRAIGHT else answer
+            (sensors[position_beside(program, port)], args[0]) if answer == STRAIGHT else answer
             for answer in environment.of(pid).answers[port]
         ]
         kept = tuple([answer for answer in given if allowed(pid, sensors, Asked(port, args, answer))])
@@ -95,10 +96,10 @@ def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
     return found
 
 
-def _sensors(rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
+def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
     """Those that answers depend on: what the assumptions read, and where a straight way begins."""
     found = {f"{n.module}.{n.port}" for rule in rules for n in nodes(rule.formula) if isinstance(n, PortRead)}
-    return tuple(sorted(found | {f"{port.partition('.')[0]}.position"}))
+    return tuple(sorted(found | {position_beside(program, port)}))
 
 
 class Surroundings:
@@ -129,7 +130,7 @@ class Surroundings:
         for name in found:
             look = domains[name].seen_from
             if look is not None:
-                found[name] = look(found[f"{name.rpartition('.')[0]}.position"])
+                found[name] = look(found[position_beside(self.machine.program, name)])
         return found
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:

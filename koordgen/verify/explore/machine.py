@@ -18,6 +18,7 @@ from koordgen.build.emit.names import Names
 from koordgen.build.emit.program import functions_module, program_text
 from koordgen.build.emit.types import with_floats
 from koordgen.lang.ir import decl
+from koordgen.lang.ir.ports import clearable, clears
 from koordgen.lang.semantics.exec import declared
 from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.step import initial
@@ -33,8 +34,8 @@ _numbers = count()
 
 
 class Own(NamedTuple):
-    """What is one robot's alone; ports by "Module.port". `unset`: the sensors `reached` of modules that were commanded
-    nothing yet; they stay true until then."""
+    """What is one robot's alone; ports by "Module.port". `unset`: sensors that commands clear and that
+    none has cleared yet; they stay true until then."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -126,8 +127,7 @@ class Machine:
         self.types = declared(program)
         self.sensors = tuple(name for name, port in ports if port.direction == "sensor")
         self.actuators = tuple(name for name, port in ports if port.direction == "actuator")
-        goals = {name.rpartition(".")[0] for name in self.actuators if name.endswith((".target", ".path"))}
-        self.unset = frozenset({f"{module}.reached" for module in goals} & set(self.sensors))
+        self.unset, self._clears = clearable(program), clears(program)
         self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
         self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
         self.owns: Interned[Own] = Interned()
@@ -313,8 +313,7 @@ class Machine:
         return choice
 
     def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
-        sent = {name.rpartition(".")[0] for name in done.actuators if name.endswith((".target", ".path"))}
-        cleared = {f"{m}.reached": False for m in sent if f"{m}.reached" in robot.sensors}
+        cleared = {sensor: False for name in done.actuators for sensor in self._clears.get(name, ())}
         sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
         actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
         own = self.own(Own(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))

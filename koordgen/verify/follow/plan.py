@@ -12,6 +12,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
+from koordgen.lang.ir.ports import clearable, clears
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes, declared
 from koordgen.lang.semantics.state import Robot, State, Store, World
@@ -109,7 +110,7 @@ class _Planner:
         self.events = {event.name: event for event in program.events}
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
-        self.commanded: set[tuple[int, str]] = set()  # robots, and their modules whose target or path was written
+        self.cleared: set[tuple[int, str]] = set()  # robots, and their sensors that a command has cleared
         self.rounds: list[Round] = []
         self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
@@ -175,7 +176,7 @@ class _Planner:
                 if done is None:
                     break
                 for step in done:
-                    at = applied(at, step)
+                    at = applied(self.program, at, step)
                 found.append((block, at))
             else:
                 off = self.differs(acts[-1], at)
@@ -213,7 +214,7 @@ class _Planner:
             done = self.done([step], seen, world, begun=state)
             if done is None:
                 return None
-            at = applied(at, done[0])
+            at = applied(self.program, at, done[0])
         return at
 
     def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
@@ -308,15 +309,13 @@ class _Planner:
     def note(self, done: Iterable[Done]) -> None:
         for step in done:
             if isinstance(step.outcome, Writes):
-                written = [n.rpartition(".") for n in step.outcome.ports]
-                self.commanded |= {(step.pid, module) for module, _, port in written if port in ("target", "path")}
+                cleared = clears(self.program)
+                self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """The sensors `reached` of a robot that was commanded nothing yet: on robots they are true then, whatever a
-        proof's counterexample says."""
-        goals = [name.rpartition(".") for name in self.actuators if name.endswith((".target", ".path"))]
-        modules = {module for module, _, _ in goals if (pid, module) not in self.commanded}
-        return {f"{module}.reached" for module in modules} & self.sensors
+        """The sensors of a robot that commands clear, and none has cleared yet: on robots they are true then, whatever
+        a proof's counterexample says."""
+        return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
     def compare(self, step: Step, state: State) -> None:
         if difference := self.differs(step, state):

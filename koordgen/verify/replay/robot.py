@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
+from koordgen.lang.ir.ports import held
 from koordgen.lang.ir.types import Type
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.eval import Discarded
@@ -144,9 +145,8 @@ class Replay:
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """A target that nobody wrote is where the robot is, which it does not tell of unless the program asks."""
-        targets = [name for name in record["actuators"] if name.endswith(".target")]
-        hidden = [n for n in targets if n.removesuffix(".target") + ".position" not in record["sensors"]]
+        """Actuators that nobody wrote and that hold at a sensor of which the program does not ask."""
+        hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: taken(record["actuators"][name], self._types[name]) for name in hidden}
 
     def _take_round(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:

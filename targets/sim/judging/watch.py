@@ -263,7 +263,7 @@ class Watcher:
 
     def _tell_of(self, windows: Windows, moments: list[_Moment]) -> None:
         windows.begin(self._truth.round)
-        targets = self._truth.values.get(f"{windows.body}.target")
+        targets = self._truth.values.get(windows.goal)
         if targets is not None:
             places, velocities = (
                 np.array([[getattr(state, kind) for state in moment.states] for moment in moments])

@@ -32,11 +32,11 @@ class Windows:
     def __init__(self, found: Properties, scenario: Scenario, seed: int) -> None:
         self._rows: list[dict[str, Any]] = []
         self._n = len(scenario.robots)
-        self.body = _goes(found)
+        self.goal = _goal(found)
         left = [u for u in found.unchecked if u.kind == "assume"]
         self._head = {
             "format": FORMAT, "app": scenario.app, "program_hash": scenario.program_hash, "seed": seed,
-            "delta": scenario.delta, "body": self.body,
+            "delta": scenario.delta, "body": self.goal.rpartition(".")[0],
             "robots": [{"name": r.name, "platform": f"{r.target} {r.sim.fidelity}"} for r in scenario.robots],
             "assumptions": [{"module": a.module, "line": a.line} for a in found.assumptions],
             "unchecked": [{"module": u.name, "line": u.line, "why": u.why} for u in left],
@@ -66,11 +66,10 @@ class Windows:
             file.writelines(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
 
 
-def _goes(found: Properties) -> str:
-    """The module that tells where the body is and takes a target for it; "" without one."""
-    actuators = {p.name for p in found.program.ports if p.direction == "actuator"}
-    modules = [name.rpartition(".")[0] for name in found.measured if name.endswith(".position")]
-    return next((module for module in modules if f"{module}.target" in actuators), "")
+def _goal(found: Properties) -> str:
+    """The actuator that holds the body at its own position until it is written; "" without one."""
+    places = {p.name for p in found.program.ports if p.is_position}
+    return next((p.name for p in found.program.ports if p.held in places), "")
 
 
 def _geometry(places: Array, velocities: Array, target: Array) -> dict[str, Any]:

@@ -42,7 +42,7 @@ class Truth:
         self.round = -1
         self.values: dict[str, Any] = {}
         self._robots = [_Robot() for _ in range(n)]
-        self._program = program
+        self._program, self._clears = program, program.clears
         self._locks = {event.name: event.lock is not None for event in program.events}
         self._slots = {v.name for v in program.shared if v.kind == "allread"}
         typed: list[Variable | Port] = [*program.locals, *program.shared, *program.ports]
@@ -115,9 +115,9 @@ class Truth:
             self._take(pid, record.restored.locals, record.restored.actuators)
         self._take(pid, record.locals, record.actuators)
         for name in record.actuators:
-            module, _, port = name.rpartition(".")
-            if port in ("target", "path") and f"{module}.reached" in self.values:  # a new goal is not reached
-                self.values[f"{module}.reached"][pid] = False
+            for sensor in self._clears.get(name, ()):
+                if sensor in self.values:
+                    self.values[sensor][pid] = False
         self._write(pid, record.shared)
         self._robots[pid].calls = tuple(
             (port, _arguments(args), self._one(port, answer)) for port, args, answer in record.calls
@@ -147,11 +147,11 @@ class Truth:
                     self.values[name] = self._one(name, raw)
 
     def _unset(self, name: str, init: Init | None) -> Any:
-        """What an actuator has before it is written: a target is where the robot is."""
+        """What an actuator has before it is written: some hold at what a sensor says."""
         port = next(p for p in self._program.ports if p.name == name)
-        place = name.rpartition(".")[0] + ".position"
-        if name.endswith(".target") and init is not None:
-            return self._read(place, init.sensors) if place in init.sensors else self._read(name, init.actuators)
+        if port.held and init is not None:
+            known = port.held in init.sensors
+            return self._read(port.held, init.sensors) if known else self._read(name, init.actuators)
         return port.unset() if port.unset is not None else UNKNOWN
 
     def _read(self, name: str, values: Mapping[str, msgspec.Raw]) -> Any:

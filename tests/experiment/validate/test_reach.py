@@ -15,6 +15,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.experiment.campaign.crew import Local
 from koordgen.experiment.validate import draw, probe, reach, tube
 from koordgen.experiment.validate.probe import BadProbe, Probe, Samples, Start
+from koordgen.fleet import manifest
 
 FLEET = """
 delta: 0.1
@@ -64,8 +65,9 @@ def test_a_probes_fleet_is_the_users_but_for_what_is_drawn(platforms: dict[str, 
     assert all(5 <= last <= 25 for last in fleet["params"]["last"])
 
 
-def test_the_program_is_a_good_one(tmp_path: Path) -> None:
-    (tmp_path / "probe.koord").write_text(probe.PROGRAM)
+@pytest.mark.parametrize("target", ["quad", "car"])
+def test_the_program_is_a_good_one(tmp_path: Path, target: str) -> None:
+    (tmp_path / "probe.koord").write_text(probe.program_of(manifest.load(target)))
     assert check_file(str(tmp_path / "probe.koord")).noticed == ()
 
 

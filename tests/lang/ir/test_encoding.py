@@ -132,7 +132,11 @@ def test_bytes_of_nodes() -> None:
 
     assert tail(ONE) == "20" + "0300000001" + "01"
     assert tail(expr.Unary("-", ONE, INT, AT)) == "2e" + "05000000012d" + tail(ONE)
-    assert tail(decl.Port("p", INT, "sensor", AT)) == "77" + "050000000170" + tail(INT) + "0800000001"
+    held = decl.Meaning(False, "s", ("b",))
+    assert tail(held) == "7f" + "01" + "050000000173" + "0600000001" + "050000000162"
+    assert tail(decl.Port("p", INT, "sensor", held, AT)) == "77" + "050000000170" + tail(INT) + "0800000001" + tail(
+        held
+    )
     temp = expr.TempRead("i", INT, AT)
     assert tail(temp, expr.TempRead("k", INT, AT), temp) == "".join(f"26070000000{i}{tail(INT)}" for i in (0, 1, 0))
     assert tail(list_of(INT)) == "12" + "05000000044c697374" + tail(INT) + "030000000140"

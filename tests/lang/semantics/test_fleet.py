@@ -287,7 +287,7 @@ def test_what_is_assumed_for_all_goals_is_held_to_the_calls_that_were_made() -> 
 def test_a_step_is_applied_whole() -> None:
     program, state = started(CHOICES, 2)
     for step in choices(program, state, 1):
-        after = applied(state, step)
+        after = applied(program, state, step)
         assert (after == state) is (step.outcome is None)
         if isinstance(step.outcome, Writes):
             assert after.robots[1].locals == step.outcome.locals and after.robots[0] == state.robots[0]

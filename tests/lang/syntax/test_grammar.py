@@ -94,10 +94,10 @@ def test_a_type_reads_the_same_wherever_it_stands(text: str, tree: str) -> None:
     [
         ("using Motion:\n  sensors: Point position\n    bool reached\n  PathPlanner planner\n"
          "  actuators:\n    Point target\n  assume position' in Rect(position, target)\n",
-         "Using(Motion, [Ports(sensor, [Port(Point, position), Port(bool, reached)]), "
-         "Ports('', [Port(PathPlanner, planner)]), Ports(actuator, [Port(Point, target)]), "
+         "Using(Motion, [Ports(sensor, [Port(Point, position, []), Port(bool, reached, [])]), "
+         "Ports('', [Port(PathPlanner, planner, [])]), Ports(actuator, [Port(Point, target, [])]), "
          "Assume(Compare(Primed(position), [[in, Call(Rect, [position, target])]]))])"),
-        ("using Log: stream stdout", "Using(Log, [Ports('', [Port(stream, stdout)])])"),
+        ("using Log: stream stdout", "Using(Log, [Ports('', [Port(stream, stdout, [])])])"),
         ("param float margin = 0.5", "Param(float, margin, [], 0.5)"),
         ("param List<Task> tasks max 8 = []", "Param(GenericType(List, [Task]), tasks, [8], ListDisplay([]))"),
         ("allread: Point x[N_SYS]\n  List<Point> path[N_SYS] max 16 = []\n  int[] c",

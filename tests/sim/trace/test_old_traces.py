@@ -1,6 +1,7 @@
 """Runs that an earlier koordgen left, format koord-trace/1: all that reads traces reads them, and `export` renews them.
 
 The traces stand in tests/verify/replay/old, as koordgen wrote them before koord-trace/2 (of poses in `run` each tenth).
+Only their program hashes are those of today's encoding.
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ invariant Below: forall i in ID: n[i] < 3
 """
 
 
-def agrees(folder: Path, trace: Path, robots: int) -> None:
+def agrees(folder: Path, trace: Path, robots: int, served: str = "") -> None:
     """The simulator's first violation of a property, the counterexample's name, and the audit's, of both kinds of
     traces."""
-    run = same(folder, trace, robots).folder
+    run = same(folder, trace, robots, served).folder
     ending = next(r for r in map(json.loads, trace.read_text().splitlines()) if r["kind"] == "violation")
     verdicts = {p["name"]: p for p in json.loads((run / "summary.json").read_text())["properties"]}
     for given in (run, run / "robots"):

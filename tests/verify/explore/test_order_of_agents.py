@@ -109,7 +109,7 @@ invariant No: forall i in ID: a[i] < 2
     for number, event in ((1, "Go"), (2, "Bad")):
         chosen = next(e for e in program.events if e.name == event)
         step = compiled_step(program, chosen, state)
-        state = applied(state, step)
+        state = applied(program, state, step)
         run.append((state, event, 0, number))
     assert is_order_of_agents(program, run) is can
 

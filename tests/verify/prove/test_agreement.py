@@ -54,7 +54,7 @@ def made_again(app: Program, run: Run, name: str) -> None:
         pid = after.pid
         acted.add(pid)
         steps = [c for c in choices(app, before.state, pid, begun.store) if c.event == after.event]
-        assert after.state in [applied(before.state, step) for step in steps]
+        assert after.state in [applied(app, before.state, step) for step in steps]
     assert failing(invariant_of(app, name), app, moments[-1].state) is not None
 
 

@@ -11,8 +11,10 @@ from koordgen.lang.check.names import enter, owns
 from koordgen.lang.check.types import bounded, resolve
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl
-from koordgen.lang.ir.types import PLANNER, POISON, STREAM, Type
+from koordgen.lang.ir.ports import NO_MEANING, usual
+from koordgen.lang.ir.types import BOOL, PLANNER, POINT, POISON, STREAM, Type
 from koordgen.lang.node import replace
+from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax.types import BrokenType
 
@@ -21,17 +23,19 @@ Direction = Literal["sensor", "actuator", "callable", "stream"]
 
 def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
     """The modules with their ports; sections of one name are one module. What they assume comes later."""
-    found: dict[str, tuple[ast.Using, dict[str, decl.Port]]] = {}
+    found: dict[str, tuple[ast.Using, dict[str, decl.Port], dict[str, ast.Port]]] = {}
     for section in sections:
-        ports = found.setdefault(section.name, (section, {}))[1]
+        _, ports, written = found.setdefault(section.name, (section, {}, {}))
         for group in section.items:
             if isinstance(group, ast.Ports):
                 for port in group.ports:
                     _add(port, group.direction, section.name, ports, c)
+                    written.setdefault(port.name, port)
     result = []
-    for name, (section, ports) in found.items():
+    for name, (section, ports, written) in found.items():
         if owns(name, section, c):
-            module = decl.Module(name, tuple(ports.values()), (), section.span)
+            meant = [replace(port, meaning=_meaning(written[port.name], port, ports, c)) for port in ports.values()]
+            module = decl.Module(name, tuple(meant), (), section.span)
             enter(name, section, module, c)
             result.append(module)
     return result
@@ -49,7 +53,53 @@ def _add(
         c.error("K011", f"the port {module}.{node.name} is declared twice", node.span, labels=(label,))
         return
     direction = _direction(node, type_, under, f"{module}.{node.name}", c)
-    ports[node.name] = decl.Port(node.name, bounded(type_, (), True, c), direction, node.span)
+    ports[node.name] = decl.Port(node.name, bounded(type_, (), True, c), direction, NO_MEANING, node.span)
+
+
+def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
+    """What the port's marks say; the usual of its name where there are none."""
+    if not node.marks:
+        return usual(port, ports.values())
+    position, held, clears = False, "", list[str]()
+    for mark in node.marks:
+        wrong = _misplaced(mark, port)
+        if wrong is not None:
+            c.error("K059", *wrong)
+        elif mark.word == "as":
+            position = True
+        elif mark.word == "at":
+            if held:
+                c.error("K059", f"{port.name} has '{held}' as its first value already", mark.span)
+            held = mark.name if _has_sensor(mark, port.type, ports, c) else held
+        elif _has_sensor(mark, BOOL, ports, c):
+            clears.append(mark.name)
+    return decl.Meaning(position, held, tuple(dict.fromkeys(clears)))
+
+
+def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
+    """Message, place and help where a port cannot have the mark."""
+    if mark.word != "as":
+        help = f"a command is an actuator's, and {port.name} is none"
+        return None if port.direction == "actuator" else (f"'{mark.word}' belongs to an actuator", mark.span, help)
+    if mark.name != "position":
+        return f"a sensor can stand for the robot's position, not for '{mark.name}'", mark.span, "write 'as position'"
+    if port.direction != "sensor" or port.type not in (POINT, POISON):
+        return f"{port.name} cannot be the robot's position, which is a sensor of type Point", mark.span, ""
+    return None
+
+
+def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Context) -> bool:
+    """Return whether the module has the sensor that a mark names, of a type; report it otherwise."""
+    name = mark.name
+    sensor = ports.get(name)
+    if sensor is None or sensor.direction != "sensor":
+        c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare it under 'sensors:'")
+        return False
+    if sensor.type != type_ and POISON not in (sensor.type, type_):
+        wanted = f"'clears' takes sensors of type {type_}" if mark.word == "clears" else f"the actuator is {a(type_)}"
+        c.error("K059", f"the sensor '{name}' is {a(sensor.type)}; {wanted}", mark.span)
+        return False
+    return True
 
 
 def _direction(

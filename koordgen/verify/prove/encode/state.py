@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.ports import clearable
 from koordgen.lang.ir.types import PerRobot, Type
 from koordgen.verify.prove.encode.room import Room, symbol, symbols
 from koordgen.verify.prove.encode.values import Fleet, Val, pick
@@ -29,10 +30,8 @@ def declared(program: Program) -> dict[Key, Type]:
 
 
 def cleared(program: Program) -> frozenset[Key]:
-    """The sensors that an event changes, too: a command clears `reached`."""
-    modules = [(m, {p.name for p in m.ports if p.direction == "actuator"}) for m in program.modules]
-    commanded = frozenset([("port", f"{m.name}.reached") for m, names in modules if names & {"target", "path"}])
-    return commanded & sensors(program)
+    """The sensors that an event changes, too, since its commands clear them."""
+    return frozenset([("port", sensor) for sensor in clearable(program)])
 
 
 def sensors(program: Program) -> frozenset[Key]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir.types import POINT
+from koordgen.lang.ir.ports import clearable, clears, held, ports
 from koordgen.verify.prove.encode.lists import default
 from koordgen.verify.prove.encode.loop import temps_of, written
 from koordgen.verify.prove.encode.scope import OfFleet
@@ -19,26 +19,24 @@ from koordgen.verify.prove.obligations.moment import Stage
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
-_GOALS = ("target", "path")
-
 
 def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
-    """What an event comes to: what it wrote, and `reached` of the modules whose target or path that is, which is false
-    until the new goal is met."""
+    """What an event comes to: what it wrote, and the sensors that its commands clear."""
     found = {key: value for key, value in writes.items() if key[0] != "wrote"}
-    for module in program.modules:
-        goals = [f"{module.name}.{p.name}" for p in module.ports if p.name in _GOALS and p.direction == "actuator"]
-        wrote = t.any_of([truth(writes["wrote", goal]) for goal in goals if ("wrote", goal) in writes])
-        reached = [p for p in module.ports if p.name == "reached" and p.direction == "sensor"]
-        if reached and wrote is not t.FALSE:
-            key = ("port", f"{module.name}.reached")
-            found[key] = pick(wrote, t.FALSE, state.of(key, robot))
+    commands: dict[Key, list[Term]] = {}
+    for actuator, cleared in clears(program).items():
+        if ("wrote", actuator) in writes:
+            for sensor in cleared:
+                commands.setdefault(("port", sensor), []).append(truth(writes["wrote", actuator]))
+    for key, wrote in commands.items():
+        if (any_wrote := t.any_of(wrote)) is not t.FALSE:
+            found[key] = pick(any_wrote, t.FALSE, state.of(key, robot))
     return found
 
 
 class Launch:
-    """Before any `init`. Sensors are any; `reached` is true, `target` the position (any place, where the program does
-    not read the position), any other actuator its default."""
+    """Before any `init`. Sensors are any, but those that commands clear: they are true. An actuator that holds at a
+    sensor has its value (any, where the program does not declare the sensor), any other actuator its default."""
 
     moment = "@launch"
 
@@ -53,19 +51,19 @@ class Launch:
         self.first: dict[Key, Val] = {("local", v.name): value(v.initial, nowhere) for v in program.locals}
         for shared in program.shared:
             self.first["slot" if shared.kind == "allread" else "cell", shared.name] = value(shared.initial, nowhere)
-        self.held = {("port", f"{m.name}.{p.name}"): (m, p) for m in program.modules for p in m.ports}
+        self.ports = {name: port for name, _, port in ports(program)}
+        self.held, self.cleared = held(program), clearable(program)
 
     def of(self, key: Key, robot: Term) -> Val:
         if key in self.first:
             return self.first[key]
-        module, port = self.held[key]
-        ports = {p.name: p for p in module.ports}
+        name = key[1]
+        port = self.ports[name]
         if port.direction == "sensor":
-            commands = port.name == "reached" and any(name in ports for name in _GOALS)
-            return t.TRUE if commands else self.sensed.of(key, robot)
-        if port.name == "target" and port.type == POINT:
-            held = "position" if "position" in ports else "target"
-            return self.sensed.of(("port", f"{module.name}.{held}"), robot)
+            return t.TRUE if name in self.cleared else self.sensed.of(key, robot)
+        if name in self.held:
+            sensor = self.held[name]
+            return self.sensed.of(("port", sensor if sensor in self.ports else name), robot)
         found = default(port.type, self.records)
         return self.sensed.of(key, robot) if found is None else found
 

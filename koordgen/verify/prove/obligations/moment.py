@@ -8,6 +8,7 @@ from typing import Literal
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.ports import clears
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.function import Functions
@@ -56,11 +57,11 @@ class Setting:
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def changed(self, event: decl.Event) -> set[Key]:
-        """Return what an event may change: what it writes, and `reached` of the modules that it commands."""
+        """Return what an event may change: what it writes, and the sensors that its commands clear."""
         keys = {key for key in written(event.effect) if key[0] != "temp"}
-        modules = {name.rpartition(".")[0] for kind, name in keys if kind == "port"}
-        commanded = {key for key in self.cleared if key[1].rpartition(".")[0] in modules}
-        return keys | commanded
+        commanded = clears(self.program)
+        cleared = {("port", sensor) for kind, name in keys if kind == "port" for sensor in commanded.get(name, ())}
+        return keys | cleared
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
         """The invariants that speak of one of these variables: the others stay as they are."""

@@ -225,7 +225,7 @@ def _event(reading: Reading) -> Counterexample:
             if obligation.kind == "well-defined":
                 return _told(reading, begun, before, before, pid, str(outcome))
             continue
-        after = applied(before, Step(pid, event.name, outcome))
+        after = applied(program, before, Step(pid, event.name, outcome))
         stated = [claim for claim in nodes(event.effect) if isinstance(claim, stmt.LoopInvariant)]
         for claim in stated if obligation.kind == "loop" else ():
             if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.ports import clearable
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
 from koordgen.lang.node import Node
 from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
@@ -144,7 +145,11 @@ class _Search:
         """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
-        pools = [[(name, v) for v in self.pools.first(name, type_, first)] for name, type_ in self.sensors]
+        cleared = clearable(self.program)
+        pools = [
+            [(name, v) for v in ([True] if name in cleared else self.pools.pool(type_, first))]
+            for name, type_ in self.sensors
+        ]
         single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
@@ -173,7 +178,7 @@ class _Search:
         number = run[-1].round + 1
         for pid in range(len(state.robots)):
             for step in self.events(state, pid):
-                yield (*run, Moment(applied(state, step), str(step.event), pid, number))
+                yield (*run, Moment(applied(self.program, state, step), str(step.event), pid, number))
         if len(state.robots) > 1:
             steps: list[Step] = []
             with suppress(NotExact, NoMeaning):
@@ -181,7 +186,7 @@ class _Search:
             moments = list(run)
             for step in steps:
                 if step.event is not None and not isinstance(step.outcome, Discarded):
-                    moments.append(Moment(applied(moments[-1].state, step), step.event, step.pid, number))
+                    moments.append(Moment(applied(self.program, moments[-1].state, step), step.event, step.pid, number))
             if len(moments) > len(run):
                 yield tuple(moments)
 
@@ -228,13 +233,6 @@ class Pools:
     def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
         self.hints, self.spoken = tuple(hints), tuple(spoken)
         self.count = count
-
-    def first(self, name: str, type_: Type, state: State) -> list[Value]:
-        """The values of a sensor at a mission's start. `reached` is true there where its module has a command, because
-        an unset actuator holds."""
-        module, _, port = name.partition(".")
-        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
-        return [True] if port == "reached" and commands else self.pool(type_, state)
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
         """The values of a sensor after a step: commands of its type, its own value, and the pool of its type."""

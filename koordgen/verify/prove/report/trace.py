@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
+from koordgen.lang.ir.ports import positions
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning, Writes
 from koordgen.lang.semantics.state import State, World
@@ -117,8 +118,8 @@ def _steps(program: decl.Program, moments: tuple[Moment, ...], about: About) -> 
         for pid, robot in enumerate(state.robots):
             acted = moment.pid in (None, pid)
             slots = {name: values[pid] for name, values in state.store.slots.items()}
-            place = next((v for n, v in robot.ports.items() if n.endswith(".position") and isinstance(v, Point)), None)
-            if place is not None:
+            place = next((robot.ports[name] for name in positions(program)), None)
+            if isinstance(place, Point):
                 position = (float(place.x), float(place.y), float(place.z))
                 yield Pose(pid, position, 0.0, LEFT_OUT, float(moment.round))
             yield Round(
@@ -167,7 +168,7 @@ def _asked(program: decl.Program, moments: tuple[Moment, ...], index: int, about
         script = _Script(about, before.robots[pid].ports, scripted)
         done = _again(program, moment.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):
-            after = applied(before, Step(pid, moment.event, done))
+            after = applied(program, before, Step(pid, moment.event, done))
             others = moment.pid is None or after.store == moment.state.store
             if others and after.robots[pid] == moment.state.robots[pid]:
                 return script.calls

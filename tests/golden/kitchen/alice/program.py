@@ -262,8 +262,8 @@ LINES: dict[int, int] = {68: 36, 69: 37, 70: 38, 71: 39, 72: 40, 131: 18, 132: 1
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="73b2c0ec92074122",
-    interface_hash="bfed35c843f64314",
+    program_hash="e6936348b9edc9c9",
+    interface_hash="fdb0b0d0da7d441f",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
         Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:67
@@ -288,11 +288,11 @@ PROGRAM = Program(
         Variable("waiting", "allwrite", tuple[Cup, ...], Many(2, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), lambda: ()),  # kitchen.koord:64
     ),
     ports=(
-        Port("Motion.position", "sensor", Point),
+        Port("Motion.position", "sensor", Point, is_position=True),
         Port("Motion.reached", "sensor", bool),
         Port("Motion.pscan", "sensor", tuple[tuple[Point, Scan], ...]),
-        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point()),
-        Port("Motion.path", "actuator", tuple[Point, ...], Many(4096, Fixed(28)), lambda: ()),
+        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point(), held="Motion.position", clears=("Motion.reached",)),
+        Port("Motion.path", "actuator", tuple[Point, ...], Many(4096, Fixed(28)), lambda: (), clears=("Motion.reached",)),
         Port("Motion.planner", "callable", tuple[Point, ...]),
         Port("Log.stdout", "stream", str),
     ),

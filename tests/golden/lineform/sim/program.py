@@ -42,16 +42,16 @@ LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
-    program_hash="721185f0cebf9cf3",
-    interface_hash="8b61013e6f246a12",
+    program_hash="d2d2942a7e80caab",
+    interface_hash="dc2b1ffc690378b4",
     locals=(
     ),
     shared=(
         Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # lineform.koord:7
     ),
     ports=(
-        Port("Motion.position", "sensor", Point),
-        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point()),
+        Port("Motion.position", "sensor", Point, is_position=True),
+        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point(), held="Motion.position"),
     ),
     init=init,
     events=(

@@ -314,7 +314,7 @@ class _Runs:
             for event in self.random.sample(self.program.events, len(self.program.events)):
                 step = self.step(event, begun, state, pid)
                 if step is not None:
-                    state = applied(state, step)
+                    state = applied(self.program, state, step)
                     self.judge(state, f"{event.name} of {pid}")
                     break
         return state
