@@ -8,6 +8,7 @@ from math import inf
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir import expr, stmt
 from koordgen.lang.ir.decl import Event, Program
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence
 from koordgen.lang.node import Node
 
@@ -125,13 +126,4 @@ class _Counting:
 
 def _calls(root: Node, times: float) -> Found:
     """All calls in an expression or a statement without blocks."""
-    found: Found = []
-    pending: list[object] = [root]
-    for item in pending:  # grows meanwhile
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, Node):
-            if isinstance(item, expr.PortCall):
-                found.append((item, times))
-            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in ("span", "type")])  # type: ignore[attr-defined]
-    return found
+    return [(node, times) for node in walk(root) if isinstance(node, expr.PortCall)]

@@ -22,7 +22,7 @@ from functools import cache
 from typing import Any
 
 from koordgen.lang.ir import decl, expr, stmt
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
 from koordgen.verify.explore.machine import Interned, Machine, Own, Packed
 
@@ -84,9 +84,9 @@ class Forgetting:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         program = machine.program
-        named = {node.name for p in program.properties for node in nodes(p.formula) if isinstance(node, expr.LocalOf)}
+        named = {node.name for p in program.properties for node in walk(p.formula) if isinstance(node, expr.LocalOf)}
         self._named = tuple([v.name for v in program.locals if v.name in named])
-        guards = {node.name for e in program.events for node in nodes(e.guard) if isinstance(node, expr.LocalRead)}
+        guards = {node.name for e in program.events for node in walk(e.guard) if isinstance(node, expr.LocalRead)}
         alone = [_turns_on(event) for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
         self._take([name for name in unread if name not in guards or name in alone])
@@ -199,7 +199,7 @@ class Forgetting:
 def _turns_on(event: decl.Event) -> str | None:
     """The one variable that an event reads and writes, where that is all that it does, and it stands in no block."""
     names, parts = set(), (event.guard, event.effect)
-    for node in nodes(parts):
+    for node in walk(parts):
         match node:
             case expr.LocalRead(name) | stmt.LocalPlace(name):
                 names.add(name)

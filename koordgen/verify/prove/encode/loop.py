@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple, assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import MapOf, Sequence, Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.encode.state import Key
-from koordgen.verify.prove.encode.tree import nodes
 
 FEW = 8  # turns, at most, that are encoded one by one
 
@@ -72,16 +72,16 @@ def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
         many = length(loop.values, known, robots)
         if many is not None and many <= FEW:
             return "unrolled"
-        inner = [n for n in nodes(loop.block) if isinstance(n, (stmt.For, stmt.While))]
+        inner = [n for n in walk(loop.block) if isinstance(n, (stmt.For, stmt.While))]
         if is_search(loop) and all(way_of(n, known, robots) != "cut" for n in inner):
             return "search"
     return "cut"
 
 
-def has_loop(block: object) -> bool:
+def has_loop(block: stmt.Block) -> bool:
     """Return whether a block has a loop: it is encoded even where nothing gets there, so that the obligations of a
     program do not depend on what the encoder sees to be impossible."""
-    return any(isinstance(n, (stmt.For, stmt.While)) for n in nodes(block))
+    return any(isinstance(n, (stmt.For, stmt.While)) for n in walk(block))
 
 
 def is_search(loop: stmt.For) -> bool:
@@ -194,10 +194,10 @@ def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
     return {**continued, **so_far}, True, continues
 
 
-def temps_of(block: object) -> dict[str, Type]:
+def temps_of(block: stmt.Block) -> dict[str, Type]:
     """The types of the variables that a block declares itself."""
     found: dict[str, Type] = {}
-    for node in nodes(block):
+    for node in walk(block):
         match node:
             case stmt.Let(name, type_):
                 found[name] = type_
@@ -213,7 +213,7 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
-                if any(isinstance(n, ir.TempRead) and n.name in names for n in nodes(value)):
+                if any(isinstance(n, ir.TempRead) and n.name in names for n in walk(value)):
                     return True
             case stmt.If(_, then, orelse):
                 if tells(then, names) or tells(orelse, names):
@@ -290,7 +290,7 @@ class Writes:
         leaves alone."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
-        for part in nodes(node):
+        for part in walk(node):
             if isinstance(part, (ir.PortCall, ir.ExternCall, ir.SlotsRead)):
                 return False
             if isinstance(part, ir.SlotRead) and ("slot", part.name) in self.changed:
@@ -309,9 +309,9 @@ class Writes:
         return True
 
 
-def leaves(part: object) -> bool:
+def leaves(part: stmt.Stmt) -> bool:
     """Return whether a statement may end the turn, the loop or the event."""
-    return any(isinstance(n, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for n in nodes(part))
+    return any(isinstance(n, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for n in walk(part))
 
 
 def step_of(write: Write) -> int | None:

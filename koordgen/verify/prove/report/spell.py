@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from typing import Any
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Type
-from koordgen.lang.node import Node
-from koordgen.lang.source import Span
 
 _BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
 _ORDER = {"<", "<="}
@@ -150,14 +147,3 @@ def number(value: Fraction | int) -> str:
         if len(text) <= MOST_DIGITS and text != "inf" and (near == exact or Fraction(text) == exact):
             return text
     return f"~{near:.6g}"
-
-
-def nodes(node: object) -> Iterator[Any]:
-    """A formula and all its parts."""
-    if isinstance(node, tuple):
-        for part in node:
-            yield from nodes(part)
-    elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
-        yield node
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
-            yield from nodes(getattr(node, field))
