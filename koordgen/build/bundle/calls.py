@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
+from typing import assert_never
 
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir import expr, stmt
@@ -83,8 +84,12 @@ class _Counting:
                 return [*_calls(values, times), *self.block(inner, times * self.turns(values))]
             case stmt.While(condition, inner):
                 return [*_calls(condition, times * inf), *self.block(inner, times * inf)]
-            case _:
+            case (
+                stmt.Assign() | stmt.Let() | stmt.Return() | stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Stop()
+            ):
                 return _calls(statement, times)
+            case _:
+                assert_never(statement)
 
     def turns(self, values: expr.Expr) -> float:
         """How often a loop over it turns at most."""

@@ -1,4 +1,4 @@
-"""The one way through trees of the IR: `children`, `walk`, `map_children`, `transform`.
+"""The one way through trees of the IR: `children`, `walk`, `statements`, `map_children`, `transform`.
 
 A child is a node of the program in a field of another one: an expression, a statement, a place that is written, a
 declaration. Types and spans are no children, and have none: they are read where they stand.
@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import Any, TypeVar, assert_never
 
+from koordgen.lang.ir import stmt
 from koordgen.lang.node import Node, replace
 
 Part = Node | tuple["Part", ...]  # a node, or a tuple of such: a block, formulas, a guard and its effect
@@ -42,6 +43,27 @@ def walk(part: Part) -> Iterator[Node]:
             below = _CHILDREN[type(part)](part)  # type: ignore[index]
             if below:
                 pending += below[::-1]
+
+
+def statements(block: stmt.Block) -> Iterator[stmt.Stmt]:
+    """Yield the statements of a block, each before those of its own blocks, in the order of the text. No expression is
+    gone into."""
+    pending = list(block[::-1])
+    while pending:
+        statement = pending.pop()
+        yield statement
+        match statement:
+            case stmt.If(_, then, orelse):
+                pending += orelse[::-1]
+                pending += then[::-1]
+            case stmt.For() | stmt.While():
+                pending += statement.block[::-1]
+            case (
+                stmt.Assign() | stmt.Let() | stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Return() | stmt.Stop()
+            ):
+                pass
+            case _:
+                assert_never(statement)
 
 
 def map_children(node: N, function: Callable[[Any], Node]) -> N:

@@ -8,12 +8,15 @@ import pytest
 
 from koordgen.build.pipeline import check_file
 from koordgen.lang.ir import decl, expr, stmt, types
-from koordgen.lang.ir.tree import child_fields, children, map_children, transform, walk
+from koordgen.lang.ir.tree import child_fields, children, map_children, statements, transform, walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, list_of
+from koordgen.lang.ir.verify_expr import _READERS as verifier
 from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.semantics.eval import MEANINGS
 from koordgen.lang.semantics.exact import exact
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as written
+from koordgen.verify.prove.encode.expr import _READERS as prover
 from tests.agree.faults import rewritten
 from tests.lang.ir.test_encoding import KITCHEN, compiled, ir_classes
 
@@ -205,3 +208,30 @@ def test_a_rewritten_program_is_that_of_another_walk() -> None:
 
     assert repr(transform(program, change)) == repr(rewritten(program, change)) != repr(program)
     assert {type(n.value) for n in walk(exact(program)) if isinstance(n, expr.Const)}.isdisjoint({float})
+
+
+def test_statements_come_in_the_order_of_the_text() -> None:
+    stop, leave, again, say = stmt.Stop(AT), stmt.Break(AT), stmt.Continue(AT), stmt.Emit("Log", "out", (), AT)
+    loop = stmt.While(YES, (leave, again), AT, (stmt.LoopInvariant(YES, AT),))
+    branch = stmt.If(YES, (say, loop), (stop,), AT)
+    each = stmt.For(("x",), (INT,), ONE, (branch,), AT)
+    assert [id(s) for s in statements((each, stop))] == [
+        id(s) for s in (each, branch, say, loop, leave, again, stop, stop)
+    ]
+
+
+@pytest.mark.parametrize("program", [kitchen(), compiled(LOOP)], ids=["kitchen", "loop"])
+def test_statements_are_those_of_a_walk(program: decl.Program) -> None:
+    for block in (program.init, *[e.effect for e in program.events], *[f.block for f in program.functions]):
+        kinds = stmt.Stmt.__args__
+        assert [id(s) for s in statements(block)] == [id(n) for n in walk(block) if isinstance(n, kinds)]
+
+
+TABLES = {"semantics": MEANINGS, "verifier": verifier, "prover": prover}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_tables_by_class_have_all_expressions(table: str) -> None:
+    """Where `match` would be too slow. A Range is no value of the prover: what runs over one asks for its bounds."""
+    missing = {expr.Range} if table == "prover" else set()
+    assert TABLES[table].keys() == set(expr.Expr.__args__) - missing

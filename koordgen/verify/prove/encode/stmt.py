@@ -12,7 +12,7 @@ from typing import NamedTuple, assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
-from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.expr import Encoder
 from koordgen.verify.prove.encode.loop import (
@@ -248,8 +248,8 @@ class Frame:
             return "cut"
         if over.few is not None:
             return "unrolled"
-        inner = [n for n in walk(loop.block) if isinstance(n, (stmt.For, stmt.While))]
-        return "search" if all(isinstance(n, stmt.For) and is_search(n) for n in (loop, *inner)) else "cut"
+        inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
+        return "search" if all(isinstance(s, stmt.For) and is_search(s) for s in (loop, *inner)) else "cut"
 
     def unrolled(self, loop: stmt.For, elements: list[Val]) -> Term:
         live: Term = t.TRUE

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.verify.prove.encode.loop import Loop, Way, kept_by, way_of
 from koordgen.verify.prove.encode.state import Key
 from koordgen.verify.prove.smt.obligation import AtHead
@@ -32,7 +32,7 @@ class LoopInvariants:
         self.events = frozenset(event.name for event in program.events)
         self.number: dict[int, tuple[str, int]] = {}
         for owner, block in blocks(program):
-            loops = [n for n in walk(block) if isinstance(n, (stmt.For, stmt.While))]
+            loops = [s for s in statements(block) if isinstance(s, (stmt.For, stmt.While))]
             self.number.update({id(loop): (owner, number) for number, loop in enumerate(loops)})
 
     def way(self, loop: Loop) -> Way:

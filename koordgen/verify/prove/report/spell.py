@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from typing import assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Type
@@ -74,7 +75,11 @@ def _chained(parts: list[ir.Expr]) -> list[str]:
     return found
 
 
-def _atom(node: ir.Expr) -> str:
+def _atom(
+    node: ir.Const | ir.Pid | ir.NSys | ir.Ids | ir.ParamRead | ir.LocalRead | ir.TempRead | ir.SlotRead | ir.SlotsRead
+    | ir.SharedRead | ir.PortRead | ir.LocalOf | ir.PortOf | ir.Range | ir.Make | ir.Field | ir.Item | ir.At | ir.Slice
+    | ir.With | ir.Builtin | ir.Call | ir.ExternCall | ir.PortCall,
+) -> str:  # fmt: skip
     match node:
         case ir.Const(value):
             return number(Fraction(value)) if isinstance(value, (float, Fraction)) else repr(value)
@@ -114,7 +119,7 @@ def _atom(node: ir.Expr) -> str:
         case ir.PortCall(module, port, args):
             return f"{module}.{port}({_list(args)})"
         case _:
-            raise AssertionError(f"{type(node).__name__} is no expression")
+            assert_never(node)
 
 
 def _made(items: tuple[ir.Expr, ...], type_: Type) -> str:
