@@ -275,6 +275,14 @@ def test_one_module_goes_through_trees_of_the_ir() -> None:
             assert name in GO_THROUGH_FIELDS, f"{name}: go through trees of the IR by koordgen.lang.ir.tree"
 
 
+def test_tools_overwrite_nothing_private_of_other_objects() -> None:
+    for path in (PACKAGE / "verify").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and node.attr.startswith("_"):
+                own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+                assert own and node.attr != "__class__", f"{path.relative_to(ROOT)}:{node.lineno} writes {node.attr}"
+
+
 def test_functions_and_templates_keep_to_their_size() -> None:
     for path in [*PACKAGE.rglob("*.py"), *(ROOT / "targets").rglob("*.py")]:
         if "_generated" in path.parts:

@@ -17,7 +17,7 @@ event. So where a deadlock is found the search begins anew without forgetting.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from functools import cache
 from typing import Any
 
@@ -70,12 +70,38 @@ class _OwnSlots(rt.Slots[Any]):
 def watched(name: str) -> type[rt.Cell[Any]]:
     """A cell that may be written, but not read before."""
 
-    def value(cell: rt.Cell[Any]) -> Any:
-        if not cell.line:
-            raise Unread(name)
-        return cell._value
+    class Watched(rt.Cell[Any]):
+        __slots__ = ()
 
-    return type("Watched", (rt.Cell,), {"__slots__": (), "value": property(value, rt.Cell.value.fset)})  # type: ignore[attr-defined]
+        @rt.Cell.value.getter  # type: ignore[attr-defined,untyped-decorator]
+        def value(self) -> Any:
+            if not self.line:
+                raise Unread(name)
+            return super().value
+
+    return Watched
+
+
+def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
+    """Return the class of transactions that are as those of `begin`, but show nothing except the robot's locals,
+    actuators and own slots. `sensors` are the attributes that are not there."""
+
+    class Alone(begin):  # type: ignore[misc,valid-type]
+        def __init__(self, frame: rt.Frame) -> None:
+            super().__init__(frame)
+            for sensor in sensors:
+                delattr(self, sensor)
+
+        def shared(self, name: str) -> rt.Cell[Any]:
+            super().shared(name)
+            cell = self.written[name] = _Hidden(None)
+            return cell
+
+        def slots(self, name: str) -> rt.Slots[Any]:
+            slots = self.written[name] = _OwnSlots(super().slots(name).all, self.pid)
+            return slots
+
+    return Alone
 
 
 class Forgetting:
@@ -105,6 +131,7 @@ class Forgetting:
         self._alike: Interned[int] = Interned()
         self._tried: set[Hashable] = set()
         self.machine.watch({name: watched(name) for name in names})
+        self._alone = alone(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
         """The fleet that stands for this one."""
@@ -181,19 +208,6 @@ class Forgetting:
             stopping.append(index)
         machine.enabled.update(stopping)
         return bool(stopping)
-
-    def _alone(self, frame: rt.Frame) -> rt.Transaction:
-        """An event's State that shows nothing but the robot's locals, actuators and own slots."""
-        machine = self.machine
-        state = machine.begin(frame)
-        for name in machine.allread:
-            state.written[name].__class__ = _OwnSlots
-        for name in machine.allwrite:
-            state.written[name].__class__ = _Hidden
-        for name in machine.sensors:
-            module, _, port = name.partition(".")
-            delattr(state, machine.names.ports[module, port])
-        return state
 
 
 def _turns_on(event: decl.Event) -> str | None:
