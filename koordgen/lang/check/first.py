@@ -33,7 +33,7 @@ def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw 
     if _plain(value):
         return None
     read = {part.name: params[part.name] for part in walk(value) if isinstance(part, ir.ParamRead)}
-    if any(getattr(part, "type", None) is POISON for whole in (value, *read.values()) for part in walk(whole)):
+    if any(isinstance(part, ir.Expr) and part.type is POISON for part in walk((value, *read.values()))):
         return None
     infinite = too_large(value, params)
     if infinite is not None:

@@ -198,8 +198,9 @@ class Stage:
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
         """A formula with primed ports or actuators is about a later moment, when they may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
-        ports = {("port", f"{n.module}.{n.port}") for n in walk(part) if isinstance(n, ir.PortRead)}
-        if not calls or not ports <= self.setting.sensors or any(getattr(n, "primed", False) for n in walk(part)):
+        reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
+        ports = {("port", f"{n.module}.{n.port}") for n in reads}
+        if not calls or not ports <= self.setting.sensors or any(n.primed for n in reads):
             return
         call, free = calls[0]
         if len(call.args) != len(args):
