@@ -259,6 +259,30 @@ def test_no_targets_name_occurs_in_the_compiler() -> None:
             assert not found, f"{path}: {found}"
 
 
+FIELDS = re.compile(r"__match_args__|__dataclass_fields__|koordgen\.lang\.node import .*\bnodes\b")
+# Nodes in general; syntax trees, which are compared, shown and measured by all their fields; a class that is no node.
+GO_THROUGH_FIELDS = {
+    *("lang/node.py", "lang/analyze/walk.py", "lang/format/__init__.py", "lang/syntax/lr.py", "lang/syntax/printer.py"),
+    *("build/emit/alone.py", "build/emit/expr.py", "build/emit/floats.py", "build/emit/property.py"),
+    "operate/installed.py",
+}
+
+
+def test_one_module_goes_through_trees_of_the_ir() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        name = path.relative_to(PACKAGE).as_posix()
+        if not name.startswith("lang/ir/") and FIELDS.search(path.read_text(encoding="utf-8")):
+            assert name in GO_THROUGH_FIELDS, f"{name}: go through trees of the IR by koordgen.lang.ir.tree"
+
+
+def test_tools_overwrite_nothing_private_of_other_objects() -> None:
+    for path in (PACKAGE / "verify").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and node.attr.startswith("_"):
+                own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+                assert own and node.attr != "__class__", f"{path.relative_to(ROOT)}:{node.lineno} writes {node.attr}"
+
+
 def test_functions_and_templates_keep_to_their_size() -> None:
     for path in [*PACKAGE.rglob("*.py"), *(ROOT / "targets").rglob("*.py")]:
         if "_generated" in path.parts:

@@ -9,9 +9,10 @@ from koordgen.lang.check.sections.program import check
 from koordgen.lang.diagnostics import Diagnostic, in_order, together
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.stmt import LoopInvariant
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT, RecordType, Sequence, list_of
 from koordgen.lang.ir.verify import verify
-from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as tree
 from koordgen.lang.syntax.parse import parse
@@ -252,7 +253,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
     own += [f"requires {f.name}" for f in program.externs if f.requires]
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]
-    if any(isinstance(node, LoopInvariant) for node in nodes((program.init, program.events, program.functions))):
+    if any(isinstance(node, LoopInvariant) for node in walk((program.init, program.events, program.functions))):
         own.append("loop invariants")
     return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
 

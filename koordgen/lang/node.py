@@ -69,7 +69,8 @@ class Node(metaclass=_NodeMeta):
 
 
 def nodes(part: object) -> Iterator[Node]:
-    """Every node of a tree, or of a tuple of trees, each before those within it."""
+    """Every node of a tree, or of a tuple of trees, each before those within it: types and spans, too. Of trees of the
+    IR, `walk` of ir/tree.py yields the nodes of the program alone."""
     if isinstance(part, Node):
         yield part
         part = tuple([getattr(part, field) for field in type(part).__match_args__])  # type: ignore[attr-defined]

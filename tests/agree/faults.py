@@ -10,6 +10,7 @@ import pytest
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
 from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.tree import child_fields
 from koordgen.lang.ir.types import INT, Sequence, TupleOf
 from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics import builtins, eval, exec, numbers, values
@@ -42,9 +43,7 @@ def rewritten(root: Any, change: Change) -> Any:
         return tuple(flat)
     if not isinstance(root, Node):
         return root
-    kept = ("span", "type", "types")
-    fields = [f for f in type(root).__match_args__ if f not in kept]  # type: ignore[attr-defined]
-    return change(replace(root, **{f: rewritten(getattr(root, f), change) for f in fields}))
+    return change(replace(root, **{f: rewritten(getattr(root, f), change) for f in child_fields(type(root))}))
 
 
 def rewriting(change: Change) -> Pass:

@@ -8,8 +8,9 @@ from typing import Literal
 
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, INT, PLANNER, POINT, PerRobot, Type, list_of
-from koordgen.lang.node import nodes, replace
+from koordgen.lang.node import replace
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Maker, Temp, compare
 from tests.agree.kinds import AT, whole
@@ -93,7 +94,7 @@ def _drawn(make: Callable[[], e.Expr]) -> e.Expr:
     """Return the first formula in which no quantifier stands twice: an update within a value repeats its place."""
     while True:
         found = make()
-        names = [node.name for node in nodes(found) if isinstance(node, e.Quantified)]
+        names = [node.name for node in walk(found) if isinstance(node, e.Quantified)]
         if len(names) == len(set(names)):
             return found
 

@@ -9,6 +9,7 @@ from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
 from koordgen.lang.ir import stmt as s
 from koordgen.lang.ir.ports import NO_MEANING, usual
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
@@ -26,7 +27,7 @@ from koordgen.lang.ir.types import (
     Type,
     list_of,
 )
-from koordgen.lang.node import Node, replace
+from koordgen.lang.node import replace
 from koordgen.lang.semantics import step
 from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.values import Value
@@ -184,7 +185,7 @@ def _locked(program: d.Program, rng: Random) -> d.Program:
     used = {}
     for event in program.events:
         kinds = (e.SlotRead, e.SlotsRead, e.SharedRead, s.OwnSlot, s.SharedPlace)
-        names = {node.name for node in nodes((event.guard, event.effect)) if isinstance(node, kinds)}
+        names = {node.name for node in walk((event.guard, event.effect)) if isinstance(node, kinds)}
         if names and rng.random() < 0.3:
             used[event.name] = names
     groups: list[set[str]] = []
@@ -194,18 +195,6 @@ def _locked(program: d.Program, rng: Random) -> d.Program:
     lock = {name: next(i for i, g in enumerate(groups) if names & g) for name, names in used.items()}
     events = tuple([replace(event, lock=lock.get(event.name)) for event in program.events])
     return replace(program, events=events, locks=tuple([tuple(sorted(group)) for group in groups]))
-
-
-def nodes(root: object) -> list[Node]:
-    """All nodes of a tree, or of a tuple of trees."""
-    pending, found = [root], []
-    for item in pending:  # grows meanwhile
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, Node):
-            found.append(item)
-            pending.extend([getattr(item, field) for field in type(item).__match_args__ if field != "span"])  # type: ignore[attr-defined]
-    return found
 
 
 def random_state(rng: Random, program: d.Program) -> State:

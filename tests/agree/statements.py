@@ -7,6 +7,7 @@ from random import Random
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
 from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import (
     BOOL,
     INT,
@@ -19,7 +20,6 @@ from koordgen.lang.ir.types import (
     Type,
     list_of,
 )
-from koordgen.lang.node import nodes
 from koordgen.lang.source import Span
 from tests.agree.expressions import Expressions
 from tests.agree.general import Temp, binary, call, compare, length
@@ -144,7 +144,7 @@ class Statements(Expressions):
             formula = self.quantified() if self.rng.random() < 0.3 else self.expr(BOOL, 2)
             if ends is not None and self.rng.random() < 0.5:
                 formula = compare(self.rng.choice(("<", "<=", "!=")), e.TempRead(counter.name, INT, AT), ends)
-            if not any(isinstance(node, e.PortCall) for node in nodes(formula)):
+            if not any(isinstance(node, e.PortCall) for node in walk(formula)):
                 found.append(s.LoopInvariant(formula, Span(*[self.rng.randrange(2, 10**6)] * 4)))
         self.busy, self.place = busy, place
         return tuple(found)

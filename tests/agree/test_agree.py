@@ -13,11 +13,12 @@ import pytest
 from koordgen.build.emit.program import program_text
 from koordgen.lang.ir import expr, stmt
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.semantics.step import initial, round_
 from tests.agree.both import Difference, Generated, Meant, Outcome, agree
 from tests.agree.faults import COMMON, NAN_COMPARED, RARE, Fault
-from tests.agree.programs import N_SYS, nodes, random_program
+from tests.agree.programs import N_SYS, random_program
 from tests.lang.semantics.programs import compiled
 
 # These stand in properties and assumptions only, of which there is no generated code.
@@ -33,7 +34,7 @@ def run(seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
     contained: Counter[str] = Counter()
     for seed in seeds:
         program = agree(seed, seen)
-        found = nodes(program)
+        found = list(walk(program))
         contained.update({type(node).__name__ for node in found})
         contained.update({f"{node.name}()" for node in found if isinstance(node, expr.Builtin)})
         contained.update({"atomic" for event in program.events if event.lock is not None})

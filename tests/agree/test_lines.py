@@ -15,6 +15,7 @@ import pytest
 from koordgen.build.emit.program import program_text
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import stmt as s
+from koordgen.lang.ir.tree import child_fields
 from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics import step
 from koordgen.lang.semantics.eval import Discarded
@@ -39,7 +40,7 @@ class Numbering:
             return node
         if isinstance(node, (*s.Stmt.__args__, d.Event, d.Function, d.ExternFunction)):
             at = self.line()
-        fields = [f for f in type(node).__match_args__ if f not in ("span", "type", "types")]  # type: ignore[attr-defined]
+        fields = child_fields(type(node))
         parts = {f: self.numbered(getattr(node, f), self.line() if f == "guard" else at) for f in fields}
         return replace(node, **parts, **({"span": at} if "span" in type(node).__match_args__ else {}))  # type: ignore[attr-defined]
 

@@ -12,11 +12,12 @@ import pytest
 from koordgen.lang.check.sections.program import check
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
 from tests.agree.both import Meant
-from tests.agree.programs import N_SYS, nodes, random_program, random_state
+from tests.agree.programs import N_SYS, random_program, random_state
 from tests.agree.source import Unwritable, source
 
 # What is wrong for certain is refused: indices, divisors and exponents that random programs chance upon.
@@ -55,7 +56,7 @@ def run(seeds: Iterable[int]) -> Counter[str]:
         if again is None:
             continue
         verify(again)
-        seen["proved"] += len([n for n in nodes(again) if isinstance(n, (e.At, e.SlotRead, e.Slice)) and n.proved])
+        seen["proved"] += len([n for n in walk(again) if isinstance(n, (e.At, e.SlotRead, e.Slice)) and n.proved])
         before, after = Meant(program), Meant(again)
         rng = Random(-seed - 1)
         for _ in range(2):

@@ -12,6 +12,7 @@ from koordgen.build.emit.types import EXTERN_BYTES, FIXED, NUMBER
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir import expr, stmt
 from koordgen.lang.ir.decl import Program, Shared
+from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
 from koordgen.lang.node import Node, replace
 
@@ -228,18 +229,8 @@ def _longest(program: Program) -> tuple[Shared, ...]:
 
 def _written(block: stmt.Block) -> set[str]:
     """The shared variables that statements write."""
-    found: set[str] = set()
-    for s in block:
-        match s:
-            case stmt.Assign(stmt.OwnSlot(name) | stmt.SharedPlace(name)):
-                found.add(name)
-            case stmt.If(_, then, orelse):
-                found |= _written(then) | _written(orelse)
-            case stmt.For(block=inner) | stmt.While(block=inner):
-                found |= _written(inner)
-            case _:
-                pass
-    return found
+    places = [s.place for s in statements(block) if isinstance(s, stmt.Assign)]
+    return {place.name for place in places if isinstance(place, (stmt.OwnSlot, stmt.SharedPlace))}
 
 
 def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
@@ -248,18 +239,9 @@ def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
 
 def _most_in(block: stmt.Block, variable: Shared) -> int:
     """The most bytes of a write of what these statements give to a variable; 0 if they write it nowhere."""
-    most = 0
-    for s in block:
-        match s:
-            case stmt.Assign(stmt.OwnSlot(name) | stmt.SharedPlace(name), value) if name == variable.name:
-                most = max(most, _WRITE + most_bytes(_as_long_as(value, variable.type)))
-            case stmt.If(_, then, orelse):
-                most = max(most, _most_in(then, variable), _most_in(orelse, variable))
-            case stmt.For(block=inner) | stmt.While(block=inner):
-                most = max(most, _most_in(inner, variable))
-            case _:
-                pass
-    return most
+    writes = [s for s in statements(block) if isinstance(s, stmt.Assign)]
+    values = [s.value for s in writes if s.place in (stmt.OwnSlot(variable.name), stmt.SharedPlace(variable.name))]
+    return max((_WRITE + most_bytes(_as_long_as(value, variable.type)) for value in values), default=0)
 
 
 def _as_long_as(value: expr.Expr, type_: Type) -> Type:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
+from typing import assert_never
 
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir import expr, stmt
 from koordgen.lang.ir.decl import Event, Program
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence
 from koordgen.lang.node import Node
 
@@ -82,8 +84,12 @@ class _Counting:
                 return [*_calls(values, times), *self.block(inner, times * self.turns(values))]
             case stmt.While(condition, inner):
                 return [*_calls(condition, times * inf), *self.block(inner, times * inf)]
-            case _:
+            case (
+                stmt.Assign() | stmt.Let() | stmt.Return() | stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Stop()
+            ):
                 return _calls(statement, times)
+            case _:
+                assert_never(statement)
 
     def turns(self, values: expr.Expr) -> float:
         """How often a loop over it turns at most."""
@@ -125,13 +131,4 @@ class _Counting:
 
 def _calls(root: Node, times: float) -> Found:
     """All calls in an expression or a statement without blocks."""
-    found: Found = []
-    pending: list[object] = [root]
-    for item in pending:  # grows meanwhile
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, Node):
-            if isinstance(item, expr.PortCall):
-                found.append((item, times))
-            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in ("span", "type")])  # type: ignore[attr-defined]
-    return found
+    return [(node, times) for node in walk(root) if isinstance(node, expr.PortCall)]

@@ -12,11 +12,11 @@ from koordgen.lang.check.sections.params import Value, with_params
 from koordgen.lang.check.sections.program import check
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 from koordgen.verify.prove.report.show import suggestion as closing
-from koordgen.verify.prove.report.spell import nodes
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Both, Solver
 
@@ -56,7 +56,7 @@ def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
     """The assumption at a line if it says nothing but where a body is on its way from `position` to `target`."""
     for module in program.modules:
         for assumption in module.assumptions:
-            read = {(n.port, n.primed) for n in nodes(assumption.formula) if isinstance(n, ir.PortRead)}
+            read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
             points = {p.name for p in module.ports if p.type == POINT}
             way = {("position", True), ("position", False), ("target", False)}
             goes = ("position", True) in read and ("target", False) in read

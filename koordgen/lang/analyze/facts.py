@@ -10,6 +10,7 @@ from koordgen.lang.analyze.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Le
 from koordgen.lang.analyze.number import number_of
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, MapOf, PerRobot, Sequence, Sized, Type
 
 __all__ = [
@@ -113,16 +114,7 @@ def _arithmetic(node: ir.Binary, flow: Flow) -> Linear | None:
 
 def pure(node: ir.Expr) -> bool:
     """Whether an expression has the same value as long as its variables have theirs: no port is called in it."""
-    pending: list[object] = [node]
-    while pending:
-        item = pending.pop()
-        if isinstance(item, ir.PortCall):
-            return False
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, ir.Expr):
-            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in ("span", "type")])
-    return True
+    return not any(isinstance(part, ir.PortCall) for part in walk(node))
 
 
 def has_length(type_: Type) -> bool:

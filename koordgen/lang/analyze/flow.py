@@ -11,6 +11,7 @@ from koordgen.lang.analyze import linear
 from koordgen.lang.analyze.linear import UNKNOWN, And, AtLeastZero, Fact, Formula, Length, Linear, Or, Remainder, Var
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import Node
 
 # To forget is always right; what is kept is bounded so that a long event costs no more a line than a short one.
@@ -250,15 +251,14 @@ def names_of_var(var: Var) -> frozenset[str]:
     return frozenset((var,)) if isinstance(var, str) else names_of(Linear(((var, 1),), 0))
 
 
-def _add_reads(node: object, found: set[str]) -> None:
-    """The variables that the value of an expression depends on."""
-    pending: list[object] = [node]
-    while pending:
-        item = pending.pop()
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, Node):
-            name = variable_of(item)
+def _add_reads(key: object, found: set[str]) -> None:
+    """The variables that the value of an expression depends on; of a tuple, such as an operator and what it is asked
+    of, those of the expressions in it."""
+    if isinstance(key, tuple):
+        for part in key:
+            _add_reads(part, found)
+    elif isinstance(key, Node):
+        for node in walk(key):
+            name = variable_of(node)
             if name is not None:
                 found.add(name)
-            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in ("span", "type")])  # type: ignore[attr-defined]

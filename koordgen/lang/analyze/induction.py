@@ -9,7 +9,7 @@ the loop, and behind it as far as it holds where `break` leaves.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 from koordgen.lang.analyze import linear
 from koordgen.lang.analyze.decide import unsat
@@ -18,6 +18,7 @@ from koordgen.lang.analyze.flow import independent, names_of, variable_of
 from koordgen.lang.analyze.linear import Formula, Linear
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import INT
 
 MOST_WAYS = 16  # through a loop's block
@@ -138,6 +139,8 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
                 return []
             case stmt.Emit():
                 pass
+            case _:
+                assert_never(statement)
         if len(flows) + len(ways.turned) + len(ways.broken) > MOST_WAYS:
             raise _TooMany
     return flows
@@ -154,7 +157,7 @@ def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
 
 def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
     """The variables that a block may write; whether a write leaves the length as it was."""
-    for statement in block:
+    for statement in statements(block):
         match statement:
             case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
                 yield variable_of(place) or "", True
@@ -162,11 +165,6 @@ def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
                 yield variable_of(place) or "", False
             case stmt.Let(name):
                 yield f"temp {name}", False
-            case stmt.If(_, then, orelse):
-                yield from _writes(then)
-                yield from _writes(orelse)
-            case stmt.For() | stmt.While():
-                yield from _writes(statement.block)
             case _:
                 pass
 
@@ -218,7 +216,7 @@ def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
 
 def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
     """The reads of the ints that a block writes."""
-    for statement in block:
+    for statement in statements(block):
         match statement:
             case stmt.Assign(stmt.TempPlace(name), value, span) if value.type is INT:
                 yield ir.TempRead(name, INT, span)
@@ -226,11 +224,6 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
                 yield ir.LocalRead(name, INT, span)
             case stmt.Assign(stmt.SharedPlace(name), value, span) if value.type is INT:
                 yield ir.SharedRead(name, INT, span)
-            case stmt.If(_, then, orelse):
-                yield from _counted(then)
-                yield from _counted(orelse)
-            case stmt.For() | stmt.While():
-                yield from _counted(statement.block)
             case _:
                 pass
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import FLOAT, Type
-from koordgen.lang.node import nodes
 
 RANGE = "a float reaches to about 1.8e308"
 FUNCTIONS: dict[str, Callable[[float], float]] = {
@@ -30,7 +30,7 @@ def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
 def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
     """Return the innermost part of a first value whose number is beyond what floats hold, if there is one: no variable
     keeps infinity."""
-    for part in reversed(list(nodes(value))):
+    for part in reversed(list(walk(value))):
         number = number_of(part, params) if isinstance(part, (ir.Binary, ir.Unary)) and part.type is FLOAT else None
         if number is not None and math.isinf(number):
             return part  # type: ignore[return-value]

@@ -8,7 +8,7 @@ from koordgen.lang.analyze import linear
 from koordgen.lang.analyze.facts import Flow, term
 from koordgen.lang.analyze.flow import independent
 from koordgen.lang.analyze.linear import Formula, Linear
-from koordgen.lang.analyze.walk import statements
+from koordgen.lang.analyze.walk import parts, statements
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
@@ -111,10 +111,10 @@ def _in_expression(root: ast.Expr | None, span: Span) -> bool:
                 pending.append(first)
             case ast.Compare(first, rest):
                 pending += [first, rest[0][1]]
-            case Node() as node if not isinstance(node, Span):
+            case Node() as node:
                 if node.span is span:  # type: ignore[attr-defined]
                     return True
-                pending.extend([getattr(node, f) for f in type(node).__match_args__])  # type: ignore[attr-defined]
+                pending.extend(parts(node))
             case _:
                 pass
     return False

@@ -1,4 +1,4 @@
-"""Walks over trees of either kind, for questions that are asked rarely."""
+"""Walks over syntax trees, for questions that are asked rarely. Those over the IR are in `ir/tree.py`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,22 @@ from koordgen.lang.syntax.types import BrokenType
 _APART = ("span", "name_span", "op_span", "def_span")
 
 
+def parts(node: object) -> tuple[object, ...]:
+    """Return what a node has in its fields, or the items of a tuple, in order, without places; of any other value
+    nothing."""
+    if isinstance(node, Node):
+        return tuple([getattr(node, f) for f in type(node).__match_args__ if f not in _APART])  # type: ignore[attr-defined]
+    return node if isinstance(node, tuple) else ()
+
+
 def nodes(root: object) -> Iterator[Node]:
     """All nodes of a tree (or of a tuple of trees) but the places, in no useful order."""
     pending: list[object] = [root]
     while pending:
         item = pending.pop()
-        if isinstance(item, tuple):
-            pending.extend(item)
-        elif isinstance(item, Node):
+        if isinstance(item, Node):
             yield item
-            pending.extend([getattr(item, f) for f in type(item).__match_args__ if f not in _APART])  # type: ignore[attr-defined]
+        pending.extend(parts(item))
 
 
 def broken_names(program: decl.Program) -> frozenset[str]:

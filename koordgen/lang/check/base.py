@@ -8,6 +8,7 @@ from typing import Any, TypeGuard
 from koordgen.lang.check.context import Context
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.decl import Record
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import (
     BOOL,
     FLOAT,
@@ -162,12 +163,6 @@ def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | a
     return type(node) in _DISPLAYS
 
 
-def has_call(node: object, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
+def has_call(node: ir.Expr, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
     """Whether something is called in an expression, of the program's own or outside."""
-    if isinstance(node, tuple):
-        return any(has_call(item, kinds) for item in node)
-    if isinstance(node, kinds):
-        return True
-    if not isinstance(node, ir.Expr):
-        return False
-    return any(has_call(getattr(node, field), kinds) for field in type(node).__match_args__)
+    return any(isinstance(part, kinds) for part in walk(node))

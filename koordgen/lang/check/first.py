@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from koordgen.lang.analyze.number import RANGE, too_large
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POISON, Type
-from koordgen.lang.node import nodes
 from koordgen.lang.source import Span
 
 _EXISTS = "write a value that exists: a first value is evaluated before the robots start"
@@ -32,8 +32,8 @@ def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw 
     params. What contains an error that was reported is not judged."""
     if _plain(value):
         return None
-    read = {part.name: params[part.name] for part in nodes(value) if isinstance(part, ir.ParamRead)}
-    if any(getattr(part, "type", None) is POISON for whole in (value, *read.values()) for part in nodes(whole)):
+    read = {part.name: params[part.name] for part in walk(value) if isinstance(part, ir.ParamRead)}
+    if any(isinstance(part, ir.Expr) and part.type is POISON for part in walk((value, *read.values()))):
         return None
     infinite = too_large(value, params)
     if infinite is not None:

@@ -8,8 +8,8 @@ from koordgen.lang.check.base import check_expr, condition
 from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out, learn
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON, PerRobot
-from koordgen.lang.node import nodes
 from koordgen.lang.syntax import expr as ast
 from koordgen.lang.syntax import stmt as tree
 
@@ -56,7 +56,7 @@ def check_invariants(
 
 
 def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead]:
-    for node in nodes(formula):
+    for node in walk(formula):
         if isinstance(node, ir.TempRead) and node.name in hidden:
             yield node
 

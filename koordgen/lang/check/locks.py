@@ -7,10 +7,10 @@ from typing import assert_never
 
 from koordgen.lang.analyze import linear
 from koordgen.lang.analyze.decide import unsat
-from koordgen.lang.analyze.walk import nodes
 from koordgen.lang.check.context import Context
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 from koordgen.lang.syntax.stmt import Atomic
@@ -38,7 +38,7 @@ def locked(found: Found, shared: tuple[decl.Shared, ...], c: Context) -> tuple[t
 def _shared_in(event: decl.Event) -> set[str]:
     """The shared variables that an event reads or writes, its guard included."""
     kinds = (expr.SlotRead, expr.SlotsRead, expr.SharedRead, stmt.OwnSlot, stmt.SharedPlace)
-    return {node.name for node in nodes((event.guard, event.effect)) if isinstance(node, kinds)}
+    return {node.name for node in walk((event.guard, event.effect)) if isinstance(node, kinds)}
 
 
 def _groups(used: list[set[str]], declared: list[str]) -> Groups:
@@ -80,17 +80,9 @@ def _plain_writes(found: Found, used: list[set[str]], c: Context) -> None:
 
 def _writes(block: stmt.Block) -> Iterator[tuple[stmt.OwnSlot | stmt.SharedPlace, Span]]:
     """The writes to shared variables, in the order of the text."""
-    pending = list(reversed(block))
-    while pending:
-        match pending.pop():
-            case stmt.Assign(place, _, span) if isinstance(place, (stmt.OwnSlot, stmt.SharedPlace)):
-                yield place, span
-            case stmt.If(_, then, orelse):
-                pending.extend(reversed((*then, *orelse)))
-            case stmt.For(block=inner) | stmt.While(block=inner):
-                pending.extend(reversed(inner))
-            case _:
-                pass
+    for statement in statements(block):
+        if isinstance(statement, stmt.Assign) and isinstance(statement.place, (stmt.OwnSlot, stmt.SharedPlace)):
+            yield statement.place, statement.span
 
 
 _OTHER = "other pid"

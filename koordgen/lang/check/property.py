@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from koordgen.lang.analyze.walk import parts
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
 from koordgen.lang.check.names import unique
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.types import GRID, POINT, Type, list_of
-from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
@@ -76,14 +76,8 @@ def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
             for arg, parameter in zip(node.args, entity.parameters, strict=False):
                 if isinstance(arg, tree.Name) and arg.name == name:
                     yield parameter.type
-    for part in _parts(node):
+    for part in parts(node):
         yield from _taken(part, name, c)
-
-
-def _parts(node: object) -> tuple[object, ...]:
-    if isinstance(node, Node) and not isinstance(node, Span):
-        return tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
-    return node if isinstance(node, tuple) else ()
 
 
 def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
@@ -98,7 +92,7 @@ def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[i
                         yield place
             case _:
                 pass
-    for part in _parts(node):
+    for part in parts(node):
         yield from _handed(part, name, module, ports)
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 from koordgen.lang.ir.expr import Expr, PortCall, Quantified, TempRead
 from koordgen.lang.ir.stmt import Block
+from koordgen.lang.ir.tree import children
 from koordgen.lang.ir.types import RecordType, Type
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
@@ -117,7 +118,7 @@ def goals(assumption: Assumption) -> dict[str, Type]:
     return {arg.name: arg.type for _, args in handed(assumption.formula) for arg in args.values()}
 
 
-def handed(node: object, bound: frozenset[str] = frozenset()) -> Iterator[tuple[PortCall, dict[int, TempRead]]]:
+def handed(node: Node, bound: frozenset[str] = frozenset()) -> Iterator[tuple[PortCall, dict[int, TempRead]]]:
     """The calls of ports in a formula to which temps are handed that it does not bind; and these, by their places."""
     if isinstance(node, Quantified):
         yield from handed(node.domain, bound)
@@ -128,24 +129,19 @@ def handed(node: object, bound: frozenset[str] = frozenset()) -> Iterator[tuple[
         free = {place: arg for place, arg in places if isinstance(arg, TempRead) and arg.name not in bound}
         if free:
             yield node, free
-    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
-    if isinstance(node, Node) and not isinstance(node, Span):
-        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
-    for part in parts:
-        yield from handed(part, bound)
+    for child in children(node):
+        yield from handed(child, bound)
 
 
-def free(node: object, bound: frozenset[str] = frozenset()) -> dict[str, Type]:
+def free(node: Node, bound: frozenset[str] = frozenset()) -> dict[str, Type]:
     """The temps that a formula does not bind, with their types: in an axiom they stand for all values."""
     match node:
         case TempRead(name, type_):
             return {} if name in bound else {name: type_}
         case Quantified(_, name, domain, body):
             return {**free(domain, bound), **free(body, bound | {name})}
-    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
-    if isinstance(node, Node) and not isinstance(node, Span):
-        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
-    return {name: type_ for part in parts for name, type_ in free(part, bound).items()}
+        case _:
+            return {name: type_ for child in children(node) for name, type_ in free(child, bound).items()}
 
 
 class Module(Node):

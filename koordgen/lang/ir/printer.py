@@ -197,7 +197,10 @@ def expression(node: expr.Expr) -> str:
             return _compound(node)
 
 
-def _compound(node: expr.Expr) -> str:
+def _compound(
+    node: expr.Make | expr.Field | expr.Item | expr.At | expr.Slice | expr.With | expr.Builtin
+    | expr.Call | expr.ExternCall | expr.PortCall,
+) -> str:  # fmt: skip
     """What is made of parts, and calls."""
     match node:
         case expr.Make(items, type_):
@@ -222,7 +225,7 @@ def _compound(node: expr.Expr) -> str:
         case expr.PortCall(module, port, args):
             return f"{module}.{port}({_list(args)})"
         case _:
-            raise AssertionError(f"{type(node).__name__} is no expression")
+            assert_never(node)
 
 
 def _doubt(proved: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, assert_never
 
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.types import (
@@ -39,6 +39,7 @@ from koordgen.lang.ir.verify_type import (
     must,
     must_not,
 )
+from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
 # Where a node may stand, if not everywhere: `literal` (a param's default, a record's), `constant` (other first values),
@@ -115,10 +116,13 @@ class Expressions:
             must(False, "a PortCall in a loop invariant", node.span)
         if places is not None and self.place not in places and not (self.at_head and kind is expr.Quantified):
             must(False, f"a {kind.__name__} in a {self.place}", node.span)
-        found: Type = _READERS.get(kind, Expressions.call)(self, node)
+        found: Type = _READERS.get(kind, Expressions.unknown)(self, node)
         if found is not node.type and found != node.type:
             must(False, f"a node of type {node.type} yields {found}", node.span)
         return found
+
+    def unknown(self, node: Node) -> Type:
+        return must_not(f"{type(node).__name__} is no expression", node.span)  # type: ignore[attr-defined]
 
     # What is read
 
@@ -148,7 +152,7 @@ class Expressions:
         must(not node.primed or self.place == "assume", "a primed port", node.span)
         return self.port(node.module, node.port, node.span)
 
-    def read(self, node: expr.Expr) -> Type:
+    def read(self, node: expr.ParamRead | expr.SlotsRead | expr.LocalOf | expr.PortOf | expr.Ids) -> Type:
         span = node.span
         match node:
             case expr.ParamRead(name):
@@ -165,7 +169,7 @@ class Expressions:
             case expr.Ids():
                 return list_of(INT)
             case _:
-                return must_not(f"{type(node).__name__} is not read", span)
+                assert_never(node)
 
     def port(self, module: str, port: str, span: Span) -> Type:
         found = self.ports.get((module, port))
@@ -202,7 +206,9 @@ class Expressions:
         self.typed(node.operand, INT)
         return FLOAT
 
-    def operation(self, node: expr.Expr) -> Type:
+    def operation(
+        self, node: expr.Unary | expr.Conditional | expr.Contains | expr.Quantified | expr.Range
+    ) -> Type:  # fmt: skip
         span = node.span
         match node:
             case expr.Unary(op, operand):
@@ -226,7 +232,7 @@ class Expressions:
             case expr.Range():
                 return must_not("a range is what a loop or a quantifier runs over", span)
             case _:
-                return must_not(f"{type(node).__name__} is no operation", span)
+                assert_never(node)
 
     def contains(self, item: expr.Expr, values: expr.Expr) -> Type:
         held = self.type_of(values)
@@ -251,7 +257,9 @@ class Expressions:
             case other:
                 return must_not(f"nothing runs over a {other}", node.span)
 
-    def part(self, node: expr.Expr) -> Type:
+    def part(
+        self, node: expr.Builtin | expr.Field | expr.Make | expr.At | expr.Item | expr.Slice | expr.With
+    ) -> Type:  # fmt: skip
         span = node.span
         match node:
             case expr.Builtin(name, args):
@@ -283,7 +291,7 @@ class Expressions:
                 self.typed(value, self.known(fields_of(type_), name, span))
                 return type_
             case _:
-                return must_not(f"{type(node).__name__} is no part", span)
+                assert_never(node)
 
     def make(self, items: tuple[expr.Expr, ...], type_: Type, span: Span) -> None:
         wanted: tuple[Type, ...]
@@ -305,7 +313,7 @@ class Expressions:
         for item, part in zip(items, wanted, strict=True):
             self.typed(item, part)
 
-    def call(self, node: expr.Expr) -> Type:
+    def call(self, node: expr.Call | expr.ExternCall | expr.PortCall) -> Type:
         span = node.span
         match node:
             case expr.Call(name, args):
@@ -327,7 +335,7 @@ class Expressions:
                     must(obstacles in (list_of(GRID), list_of(POINT)), f"obstacles of type {obstacles}", span)
                 return list_of(POINT)
             case _:
-                return must_not(f"{type(node).__name__} is no expression", span)
+                assert_never(node)
 
     def arguments(
         self, name: str, args: tuple[expr.Expr, ...], parameters: tuple[decl.Parameter, ...], span: Span
@@ -341,8 +349,8 @@ class Expressions:
         return builtin_type(name, [self.type_of(arg) for arg in args], span)
 
 
-# By the class of the node: a table, because finding the way is most of the work. A class that is not here is called,
-# or is no expression.
+# By the class of the node: a table, because finding the way is most of the work. A test holds that all expressions are
+# here.
 _READERS: dict[type, Callable[[Expressions, Any], Type]] = {
     expr.Const: Expressions.const,
     expr.Pid: Expressions.index,
@@ -359,4 +367,5 @@ _READERS: dict[type, Callable[[Expressions, Any], Type]] = {
     **dict.fromkeys((expr.ParamRead, expr.SlotsRead, expr.LocalOf, expr.PortOf, expr.Ids), Expressions.read),
     **dict.fromkeys((expr.Unary, expr.Conditional, expr.Contains, expr.Quantified, expr.Range), Expressions.operation),
     **dict.fromkeys((expr.Builtin, expr.Field, expr.Make, expr.At, expr.Item, expr.Slice, expr.With), Expressions.part),
+    **dict.fromkeys((expr.Call, expr.ExternCall, expr.PortCall), Expressions.call),
 }

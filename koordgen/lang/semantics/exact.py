@@ -14,7 +14,8 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from koordgen.lang.ir import decl, expr
-from koordgen.lang.ir.types import BOOL, FLOAT, INT, Type
+from koordgen.lang.ir.tree import transform
+from koordgen.lang.ir.types import BOOL, FLOAT, INT
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Grid, Point, Pose
@@ -206,26 +207,24 @@ def exact(program: decl.Program) -> decl.Program:
 
     before: x := 1 / 4      after: x := (0 + 1) / 4, that 0 being a Fraction
     """
-    return _exact(program)  # type: ignore[no-any-return]
+    made = transform(program, _exact)
+    assert isinstance(made, decl.Program)
+    return made
 
 
-def _exact(node: Any) -> Any:
-    if type(node) is tuple:
-        return tuple([_exact(part) for part in node])
-    if not isinstance(node, Node) or isinstance(node, (Span, Type)):
-        return node
-    made = type(node)(*[_exact(getattr(node, field)) for field in type(node).__match_args__])  # type: ignore[attr-defined]
-    match made:
+def _exact(node: Node) -> Node:
+    """One node over exact numbers, whose children are over exact numbers."""
+    match node:
         case expr.Const(value, type_, span) if isinstance(value, float):
             return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
         case expr.Widen(operand, _, span):
             return _widened(operand, span)
         case expr.Builtin("sum", (values,), type_, span) if type_ == FLOAT:
-            return _summed(values, made, span)
+            return _summed(values, node, span)
         case expr.Binary("/", left, right, proved, type_, span) if left.type == INT:
             return expr.Binary("/", _widened(left, span), right, proved, type_, span)
         case _:
-            return made
+            return node
 
 
 def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:

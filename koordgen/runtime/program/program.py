@@ -126,6 +126,11 @@ class Cell(Generic[T]):
         self._value = value
         self.line = sys._getframe(1).f_lineno
 
+    def show(self, value: T) -> None:
+        """Let the event begin with another value. Tools evaluate one event on many states."""
+        self._value = value
+        self.line = 0
+
 
 class Slots(Generic[T]):
     """An allread variable inside an event: anyone's slot can be read, only `own` can be written. `line` as of Cell."""
@@ -156,9 +161,16 @@ class Slots(Generic[T]):
         self._values = (*self._values[: self._pid], value, *self._values[self._pid + 1 :])
         self.line = sys._getframe(1).f_lineno
 
+    def show(self, values: Sequence[T], pid: int) -> None:
+        """Let the event begin with other values, on robot `pid`. See Cell."""
+        self._values = tuple(values)
+        self._pid = pid
+        self.line = 0
+
 
 class Transaction:
-    """What one event sees on one robot, and what it has written so far. Generated programs name its parts."""
+    """What one event sees on one robot, and what it has written so far. Generated programs name its parts: they ask
+    `local`, `shared`, `actuator` and `slots` for the cell of each, so a subclass may give cells of its own kind."""
 
     def __init__(self, frame: Frame) -> None:
         self.pid = frame.pid
@@ -266,7 +278,7 @@ class Program:
     ports: tuple[Port, ...]
     init: Callable[[Any], None] | None
     events: tuple[Event, ...]
-    begin: Callable[[Frame], Transaction]
+    begin: type[Transaction]
     file: str
     lines: Mapping[int, int]
     locks: tuple[tuple[str, ...], ...] = ()

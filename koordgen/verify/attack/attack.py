@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.ir.tree import walk
+from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exact import NotExact, exact
@@ -140,7 +141,7 @@ def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
     """Return the program made exact, and whether some first values are GridMaps. Those are computed as robots do, with
     the params that the program has, because a GridMap has no exact form."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
-    rounded = {v.name for v in variables if any(_is_map(n) for n in nodes(v.initial))}
+    rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
     if not rounded:
         return made, False

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import PortCall
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import (
     FLOAT,
     GRID,
@@ -34,7 +35,6 @@ from koordgen.lang.ir.types import (
     Type,
     list_of,
 )
-from koordgen.lang.node import nodes
 from koordgen.lang.semantics.exact import Root, root
 from koordgen.lang.semantics.property import Asked
 from koordgen.lang.semantics.state import Robot, State, Store
@@ -187,10 +187,10 @@ class _Reader:
         self.ports = {f"{m.name}.{p.name}": p.type for m, p in ports}
         self.sensors = {f"{m.name}.{p.name}": p.type for m, p in ports if p.direction == "sensor"}
         self.called = {
-            f"{n.module}.{n.port}": n for n in nodes((program.init, program.events)) if isinstance(n, PortCall)
+            f"{n.module}.{n.port}": n for n in walk((program.init, program.events)) if isinstance(n, PortCall)
         }
         for function in program.functions:
-            self.called.update({f"{n.module}.{n.port}": n for n in nodes(function.block) if isinstance(n, PortCall)})
+            self.called.update({f"{n.module}.{n.port}": n for n in walk(function.block) if isinstance(n, PortCall)})
 
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
         """An object with exactly these keys."""

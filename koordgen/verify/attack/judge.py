@@ -14,8 +14,9 @@ from typing import NamedTuple
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import BOOL
-from koordgen.lang.node import nodes, replace
+from koordgen.lang.node import replace
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exact import NotExact
 from koordgen.lang.semantics.exec import UNFINISHED, NoMeaning, Writes
@@ -373,31 +374,31 @@ def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
 def _of_fleet(formula: ir.Expr) -> bool:
     """Return whether a formula speaks of anything but params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
-               for n in nodes(formula))  # fmt: skip
+               for n in walk(formula))  # fmt: skip
 
 
-def _at_heads(program: decl.Program, owner: str, block: object) -> Iterator[tuple[str, str]]:
+def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[str, str]]:
     """The loop invariants of a block and of the functions that it calls: whose block each is in, its name."""
     functions = {function.name: function for function in program.functions}
-    called: dict[str, object] = {owner: block}
+    called: dict[str, Part] = {owner: block}
     for _ in functions:
-        names = [n.name for part in called.values() for n in nodes(part) if isinstance(n, ir.Call)]
+        names = [n.name for part in called.values() for n in walk(part) if isinstance(n, ir.Call)]
         called.update({name: functions[name].block for name in names if name in functions})
     for name, part in called.items():
-        yield from ((name, f"line {n.span.line}") for n in nodes(part) if isinstance(n, stmt.LoopInvariant))
+        yield from ((name, f"line {n.span.line}") for n in walk(part) if isinstance(n, stmt.LoopInvariant))
 
 
 def names_of(program: decl.Program) -> list[str]:
     """Return the names that verdicts of a program have."""
     blocks = (program.init, program.events, program.functions)
-    loops = [f"line {n.span.line}" for n in nodes(blocks) if isinstance(n, stmt.LoopInvariant)]
+    loops = [f"line {n.span.line}" for n in walk(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
-def _is_fallible(part: object, functions: Collection[str]) -> bool:
+def _is_fallible(part: Part, functions: Collection[str]) -> bool:
     """Return whether an operation that `(well-defined)` promises stands in a part of a program, or in one of the
     functions that it calls."""
-    for node in nodes(part):
+    for node in walk(part):
         match node:
             case ir.SlotRead(_, index):
                 found = not isinstance(index, ir.Pid)

@@ -15,15 +15,14 @@ from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.ports import clearable, held, positions
 from koordgen.lang.ir.ports import ports as named_ports
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
 from koordgen.lang.ir.types import Sequence as SequenceType
-from koordgen.lang.node import Node
 from koordgen.lang.semantics.builtins import map_of, set_of
 from koordgen.lang.semantics.exact import made_exact
 from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import RecordValue, Value, default
-from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Point, Pose
 from koordgen.verify.prove.report.model import made_state, with_values
 from koordgen.verify.prove.report.reach import Pools
@@ -259,20 +258,15 @@ def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
     numbers: dict[Any, None] = {}
     points: list[Value] = []
     texts: dict[str, None] = {}
-    left: list[object] = [program.params, program.functions, program.modules, program.events, program.properties]
-    while left:
-        node = left.pop()
-        if type(node) is tuple:
-            left.extend(node)
-        elif isinstance(node, ir.Const):
+    spoken = (program.params, program.functions, program.modules, program.events, program.properties)
+    for node in reversed(list(walk(spoken))):  # what the program says last comes first
+        if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None
             elif type(node.value) is not bool:
                 numbers[node.value] = None
-        elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
-            if isinstance(node, ir.Builtin) and node.name == "Point":
-                parts = [arg.value for arg in node.args if isinstance(arg, ir.Const)]
-                points += [Point(*map(Fraction, parts))] if len(parts) == 3 else []  # type: ignore[arg-type]
-            left.extend([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+        elif isinstance(node, ir.Builtin) and node.name == "Point":
+            parts = [arg.value for arg in node.args if isinstance(arg, ir.Const)]
+            points += [Point(*map(Fraction, parts))] if len(parts) == 3 else []  # type: ignore[arg-type]
     beside = [number + 1 for number in numbers] + [number - 1 for number in numbers]
     return [*numbers, *points, *beside], list(texts)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from koordgen.lang.ir import decl, stmt
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
 from koordgen.verify.audit.finding import AFTER, Finding, Moment, Outcome, Violation
 from koordgen.verify.audit.story import Mission, Story
@@ -51,7 +51,7 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
 def loops(program: decl.Program, mission: Mission) -> list[Finding]:
     """A finding for each loop invariant: what is counted are events (and each `init`), with its loop or without."""
     parts = (program.functions, program.init, program.events)
-    invariants = {n.span.line: n for n in nodes(parts) if isinstance(n, stmt.LoopInvariant)}
+    invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
     _miss(list(found.values()), mission)
     for round_ in range(mission.first, mission.last + 1):

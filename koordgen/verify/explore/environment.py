@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import PortCall, PortRead
 from koordgen.lang.ir.ports import position_beside
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning
 from koordgen.lang.semantics.property import Asked, holds_assumption
@@ -88,7 +88,7 @@ def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
     sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
     found = []
     for assumption in [a for m in program.modules for a in m.assumptions]:
-        read = list(nodes(assumption.formula))
+        read = list(walk(assumption.formula))
         if any(isinstance(n, PortCall) and f"{n.module}.{n.port}" == port for n in read) and all(
             (n.module, n.port) in sensors and not n.primed for n in read if isinstance(n, PortRead)
         ):
@@ -98,7 +98,7 @@ def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
 
 def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
     """Those that answers depend on: what the assumptions read, and where a straight way begins."""
-    found = {f"{n.module}.{n.port}" for rule in rules for n in nodes(rule.formula) if isinstance(n, PortRead)}
+    found = {f"{n.module}.{n.port}" for rule in rules for n in walk(rule.formula) if isinstance(n, PortRead)}
     return tuple(sorted(found | {position_beside(program, port)}))
 
 

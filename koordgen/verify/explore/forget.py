@@ -17,12 +17,12 @@ event. So where a deadlock is found the search begins anew without forgetting.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from functools import cache
 from typing import Any
 
 from koordgen.lang.ir import decl, expr, stmt
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
 from koordgen.verify.explore.machine import Interned, Machine, Own, Packed
 
@@ -70,12 +70,38 @@ class _OwnSlots(rt.Slots[Any]):
 def watched(name: str) -> type[rt.Cell[Any]]:
     """A cell that may be written, but not read before."""
 
-    def value(cell: rt.Cell[Any]) -> Any:
-        if not cell.line:
-            raise Unread(name)
-        return cell._value
+    class Watched(rt.Cell[Any]):
+        __slots__ = ()
 
-    return type("Watched", (rt.Cell,), {"__slots__": (), "value": property(value, rt.Cell.value.fset)})  # type: ignore[attr-defined]
+        @rt.Cell.value.getter  # type: ignore[attr-defined,untyped-decorator]
+        def value(self) -> Any:
+            if not self.line:
+                raise Unread(name)
+            return super().value
+
+    return Watched
+
+
+def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
+    """Return the class of transactions that are as those of `begin`, but show nothing except the robot's locals,
+    actuators and own slots. `sensors` are the attributes that are not there."""
+
+    class Alone(begin):  # type: ignore[misc,valid-type]
+        def __init__(self, frame: rt.Frame) -> None:
+            super().__init__(frame)
+            for sensor in sensors:
+                delattr(self, sensor)
+
+        def shared(self, name: str) -> rt.Cell[Any]:
+            super().shared(name)
+            cell = self.written[name] = _Hidden(None)
+            return cell
+
+        def slots(self, name: str) -> rt.Slots[Any]:
+            slots = self.written[name] = _OwnSlots(super().slots(name).all, self.pid)
+            return slots
+
+    return Alone
 
 
 class Forgetting:
@@ -84,9 +110,9 @@ class Forgetting:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         program = machine.program
-        named = {node.name for p in program.properties for node in nodes(p.formula) if isinstance(node, expr.LocalOf)}
+        named = {node.name for p in program.properties for node in walk(p.formula) if isinstance(node, expr.LocalOf)}
         self._named = tuple([v.name for v in program.locals if v.name in named])
-        guards = {node.name for e in program.events for node in nodes(e.guard) if isinstance(node, expr.LocalRead)}
+        guards = {node.name for e in program.events for node in walk(e.guard) if isinstance(node, expr.LocalRead)}
         alone = [_turns_on(event) for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
         self._take([name for name in unread if name not in guards or name in alone])
@@ -105,6 +131,7 @@ class Forgetting:
         self._alike: Interned[int] = Interned()
         self._tried: set[Hashable] = set()
         self.machine.watch({name: watched(name) for name in names})
+        self._alone = alone(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
         """The fleet that stands for this one."""
@@ -182,24 +209,11 @@ class Forgetting:
         machine.enabled.update(stopping)
         return bool(stopping)
 
-    def _alone(self, frame: rt.Frame) -> rt.Transaction:
-        """An event's State that shows nothing but the robot's locals, actuators and own slots."""
-        machine = self.machine
-        state = machine.begin(frame)
-        for name in machine.allread:
-            state.written[name].__class__ = _OwnSlots
-        for name in machine.allwrite:
-            state.written[name].__class__ = _Hidden
-        for name in machine.sensors:
-            module, _, port = name.partition(".")
-            delattr(state, machine.names.ports[module, port])
-        return state
-
 
 def _turns_on(event: decl.Event) -> str | None:
     """The one variable that an event reads and writes, where that is all that it does, and it stands in no block."""
     names, parts = set(), (event.guard, event.effect)
-    for node in nodes(parts):
+    for node in walk(parts):
         match node:
             case expr.LocalRead(name) | stmt.LocalPlace(name):
                 names.add(name)

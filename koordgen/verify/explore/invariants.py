@@ -8,7 +8,7 @@ from typing import Any
 from koordgen.build.emit import expr, library
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.property import Each, One
 from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Interned, Machine, Packed
@@ -155,13 +155,13 @@ class Invariants:
 
 
 def _calls(formula: ir.Expr, specs: set[str]) -> bool:
-    return any(isinstance(node, ir.Call) and node.name in specs for node in nodes(formula))
+    return any(isinstance(node, ir.Call) and node.name in specs for node in walk(formula))
 
 
 def _reads(formula: ir.Expr) -> set[str]:
     """The names of the locals, shared variables and ports that a formula reads."""
     found = set()
-    for node in nodes(formula):
+    for node in walk(formula):
         match node:
             case ir.LocalOf(name) | ir.SlotRead(name) | ir.SlotsRead(name) | ir.SharedRead(name):
                 found.add(name)

@@ -139,11 +139,11 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[Discard] = []
         self.enabled: set[int] = set()
-        self.watched: dict[str, type[rt.Cell[Any]]] = {}  # locals whose cells tell when they are read
+        self.begin: type[rt.Transaction] = self.code.begin  # what an event works on
         place = {event.name: index for index, event in enumerate(program.events)}
         self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
-        self._sensors = {f"{module}.{port}": self.names.ports[module, port] for module, port in self.names.sensors}
+        self.sensor_attributes = {f"{m}.{port}": self.names.ports[m, port] for m, port in self.names.sensors}
 
     def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
         """Those of the events that a robot may run by priority: all guards before them in their `priority:` blocks have
@@ -225,16 +225,9 @@ class Machine:
             made[-1] = self._cells(fleet[-1], choice.cells)
         return tuple(made)
 
-    def begin(self, frame: rt.Frame) -> rt.Transaction:
-        """What an event works on."""
-        state = self.code.begin(frame)
-        for name, kind in self.watched.items():
-            state.written[name].__class__ = kind
-        return state
-
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
         """Locals whose cells are of these classes from now on."""
-        self.watched = dict(cells)
+        self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
     def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
@@ -244,22 +237,21 @@ class Machine:
         look: Any = self._look
         known, store = self._looked
         self._looked = robot, seen
-        if store is not seen:
+        if store is not seen or look.pid != pid:
             columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
             for name, column in zip(self.allread, columns, strict=False):
-                look.written[name]._values = column
+                look.written[name].show(column, pid)
+        if store is not seen:
             for name, value in zip(self.allwrite, self.cells.values[seen[-1]], strict=True):
-                look.written[name]._value = value
+                look.written[name].show(value)
         if known is not robot:
             for name, value in robot.locals.items():
-                look.written[name]._value = value
+                look.written[name].show(value)
             for name, value in robot.actuators.items():
-                look.written[name]._value = value
+                look.written[name].show(value)
             for name, value in robot.sensors.items():
-                setattr(look, self._sensors[name], value)
+                setattr(look, self.sensor_attributes[name], value)
         look.pid, look.call = pid, call
-        for name in self.allread:
-            look.written[name]._pid = pid
         return look
 
     def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
@@ -356,6 +348,20 @@ class Machine:
 
     def _meant(self, values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: meant_value(value, self.types[name]) for name, value in values.items()}
+
+
+def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
+    """Return the class of transactions that are as those of `begin`, but that cells of these locals are of these
+    classes."""
+
+    class Watching(begin):  # type: ignore[misc,valid-type]
+        def local(self, name: str) -> rt.Cell[Any]:
+            cell: rt.Cell[Any] = super().local(name)
+            if name in cells:
+                cell = self.written[name] = cells[name](cell.value)
+            return cell
+
+    return Watching
 
 
 def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:

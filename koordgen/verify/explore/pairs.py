@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from koordgen.build.emit import expr, library
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Machine, Packed
 
@@ -34,7 +34,7 @@ def spread(formula: ir.Expr) -> Spread | None:
     if not 1 <= len(names) <= 2:
         return None
     numbers, indices = 0, 0
-    for node in nodes(body):
+    for node in walk(body):
         match node:
             case ir.LocalOf(_, ir.TempRead(at)) | ir.SlotRead(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)):
                 if at not in names:

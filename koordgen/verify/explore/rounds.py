@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl, expr, stmt
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.explore.machine import Choice, Machine, Packed
 
 Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
@@ -68,7 +68,7 @@ def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
 
 def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
     earlier = tuple([other.guard for other in program.earlier(event)])
-    for node in nodes((*earlier, event.guard, event.effect)):
+    for node in walk((*earlier, event.guard, event.effect)):
         match node:
             case expr.SlotRead(_, expr.Pid()):
                 pass
@@ -82,7 +82,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
     """The shared variables that an event reads as they are when it runs, and those that it may write."""
     reads, writes = set(), set()
-    for node in nodes((event.guard, event.effect)):
+    for node in walk((event.guard, event.effect)):
         match node:
             case expr.SlotRead(name) | expr.SlotsRead(name) | expr.SharedRead(name) if event.lock is not None:
                 reads.add(name)

@@ -10,9 +10,11 @@ permutations. Anything else, and no two robots are taken as alike: this can only
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from koordgen.lang.ir import decl, expr, stmt
+from koordgen.lang.ir.tree import Part, children, walk
 from koordgen.lang.ir.types import INT, PerRobot
-from koordgen.lang.node import Node, nodes
 from koordgen.lang.source import Span
 from koordgen.verify.explore.machine import Packed
 
@@ -32,9 +34,11 @@ def distinguishes(program: decl.Program) -> str:
     return ""
 
 
-def _apart(node: object, robots: frozenset[str]) -> Span | None:
+def _apart(node: Part, robots: frozenset[str]) -> Span | None:
     """Where robots are told apart; `robots` are the names that stand for one."""
     match node:
+        case tuple():
+            return _first_apart(node, robots)
         case expr.Pid(_, span) | expr.Ids(_, span):
             return span
         case expr.SlotsRead(_, _, span):
@@ -52,17 +56,14 @@ def _apart(node: object, robots: frozenset[str]) -> Span | None:
         case expr.Contains(item, expr.SlotsRead()):
             return _apart(item, robots)
         case expr.Builtin(name, (expr.SlotsRead(_, type_), *others)) if _unordered(name, type_):
-            return _apart(tuple(others), robots)
+            return _first_apart(others, robots)
         case stmt.Emit(_, _, items):
-            return _apart(tuple([item for item in items if not _name_of_self(item)]), robots)
+            return _first_apart([item for item in items if not _name_of_self(item)], robots)
         case _:
-            return _within(node, robots)
+            return _first_apart(children(node), robots)
 
 
-def _within(node: object, robots: frozenset[str]) -> Span | None:
-    parts = node if isinstance(node, tuple) else ()
-    if isinstance(node, Node) and not isinstance(node, Span):
-        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+def _first_apart(parts: Iterable[Part], robots: frozenset[str]) -> Span | None:
     for part in parts:
         found = _apart(part, robots)
         if found is not None:
@@ -72,7 +73,7 @@ def _within(node: object, robots: frozenset[str]) -> Span | None:
 
 def _may_fail(body: expr.Expr) -> bool:
     """Whether a formula may have no value: who comes first then decides what a quantifier over robots yields."""
-    for node in nodes(body):
+    for node in walk(body):
         match node:
             case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():
                 return True

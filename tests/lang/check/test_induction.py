@@ -13,7 +13,7 @@ from koordgen.lang.analyze.induction import Candidate, Turns
 from koordgen.lang.check.sections.program import check
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, expr, stmt
-from koordgen.lang.node import nodes
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.semantics import exec
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.state import State
@@ -38,7 +38,7 @@ def checked(text: str) -> tuple[decl.Program | None, set[str]]:
 
 def proved(program: decl.Program) -> tuple[int, int]:
     """How many elements are read with an index that is proved, and with one that is not."""
-    found = [node for node in nodes((program.events, program.functions)) if isinstance(node, expr.At)]
+    found = [node for node in walk((program.events, program.functions)) if isinstance(node, expr.At)]
     return sum(node.proved for node in found), sum(not node.proved for node in found)
 
 

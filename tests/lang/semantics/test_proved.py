@@ -12,6 +12,7 @@ import pytest
 
 from koordgen.lang.check.sections.program import check
 from koordgen.lang.ir import decl, expr
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.semantics import exec
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning, Writes
@@ -23,7 +24,6 @@ from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
 from tests.agree.both import answer, key, outside
 from tests.agree.kinds import random_value
-from tests.agree.programs import nodes
 from tests.lang.test_lang import CASES
 
 ROOT = Path(__file__).parents[3]
@@ -125,7 +125,7 @@ def test_a_mission_from_the_beginning(name: str, program: decl.Program) -> None:
 def test_these_programs_do_something() -> None:
     proved, unproved, ran = 0, 0, 0
     for _, program in PROGRAMS:
-        found = [n for n in nodes((program.events, program.functions)) if isinstance(n, (expr.At, expr.SlotRead))]
+        found = [n for n in walk((program.events, program.functions)) if isinstance(n, (expr.At, expr.SlotRead))]
         proved += len([n for n in found if n.proved])
         unproved += len([n for n in found if not n.proved])
         steps: list[Step] = []

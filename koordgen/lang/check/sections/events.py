@@ -17,8 +17,8 @@ from koordgen.lang.check.statements.stmt import check_block
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL
-from koordgen.lang.node import nodes
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax.expr import Expr, Logic
@@ -141,7 +141,7 @@ def _first(event: _Written, earlier: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _reads_shared(guard: ir.Expr) -> bool:
-    return any(isinstance(node, (ir.SlotRead, ir.SlotsRead, ir.SharedRead)) for node in nodes(guard))
+    return any(isinstance(node, (ir.SlotRead, ir.SlotsRead, ir.SharedRead)) for node in walk(guard))
 
 
 def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:

@@ -9,6 +9,7 @@ from koordgen.lang.check.context import Context
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import BOOL
 from koordgen.lang.syntax.decl import BrokenSection
 from koordgen.lang.syntax.expr import Broken
@@ -92,16 +93,11 @@ def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ..
 def _turned(block: stmt.Block, starts: Starts) -> set[str]:
     """The bools that a block may make other than they start."""
     found: set[str] = set()
-    pending = list(block)
-    while pending:
-        match pending.pop():
+    for statement in statements(block):
+        match statement:
             case stmt.Assign(stmt.LocalPlace(name), value):
                 if name in starts and not (type(value) is ir.Const and value.value is starts[name]):
                     found.add(name)
-            case stmt.If(_, then, orelse):
-                pending += [*then, *orelse]
-            case stmt.For(block=inner) | stmt.While(block=inner):
-                pending += inner
             case _:
                 pass
     return found

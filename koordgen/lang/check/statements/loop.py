@@ -23,8 +23,8 @@ from koordgen.lang.check.statements.target import updates
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.decl import Local, Shared
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON, MapOf, Sequence, TupleOf, Type
-from koordgen.lang.node import nodes
 from koordgen.lang.syntax import expr as ast
 from koordgen.lang.syntax import stmt as tree
 
@@ -99,7 +99,7 @@ def _counting(
             last = linear.variable(linear.Choice(linear.at_least(stop, first), stop, first))
     kept = last is not None and independent(last, changed, sized)
     stays = step > 0 and stop is not None and independent(stop, changed, sized)
-    moved = any(isinstance(n, stmt.Assign) and n.place == stmt.TempPlace(unique) for n in nodes(block))
+    moved = any(isinstance(n, stmt.Assign) and n.place == stmt.TempPlace(unique) for n in walk(block))
     following = None if moved else linear.combine(linear.variable(name), linear.constant(step))
     return (
         lambda flow: flow.assigned(name, first),

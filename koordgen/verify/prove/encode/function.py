@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.expr import Encoder
 from koordgen.verify.prove.encode.loop import WayOf, temps_of
 from koordgen.verify.prove.encode.room import Room, symbol
 from koordgen.verify.prove.encode.stmt import Frame, Head
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Changed, Choice, Fleet, Known, Named, Val, pick
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import Fact
@@ -54,7 +54,7 @@ class Functions:
     def is_closed(self, function: decl.Function) -> bool:
         """Return whether a run calls no extern function."""
         if function.name not in self.closed:
-            called = [n for n in nodes(function.block) if isinstance(n, (ir.Call, ir.ExternCall))]
+            called = [n for n in walk(function.block) if isinstance(n, (ir.Call, ir.ExternCall))]
             functions = [self.functions.get(n.name) for n in called]
             self.closed[function.name] = all(f is not None and self.is_closed(f) for f in functions)
         return self.closed[function.name]

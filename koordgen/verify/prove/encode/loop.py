@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple, assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.ir.types import MapOf, Sequence, Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.encode.state import Key
-from koordgen.verify.prove.encode.tree import nodes
 
 FEW = 8  # turns, at most, that are encoded one by one
 
@@ -72,16 +72,16 @@ def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
         many = length(loop.values, known, robots)
         if many is not None and many <= FEW:
             return "unrolled"
-        inner = [n for n in nodes(loop.block) if isinstance(n, (stmt.For, stmt.While))]
+        inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
         if is_search(loop) and all(way_of(n, known, robots) != "cut" for n in inner):
             return "search"
     return "cut"
 
 
-def has_loop(block: object) -> bool:
+def has_loop(block: stmt.Block) -> bool:
     """Return whether a block has a loop: it is encoded even where nothing gets there, so that the obligations of a
     program do not depend on what the encoder sees to be impossible."""
-    return any(isinstance(n, (stmt.For, stmt.While)) for n in nodes(block))
+    return any(isinstance(s, (stmt.For, stmt.While)) for s in statements(block))
 
 
 def is_search(loop: stmt.For) -> bool:
@@ -131,19 +131,7 @@ def is_unordered(type_: Type) -> bool:
 
 def written(block: stmt.Block) -> dict[Key, None]:
     """Return the variables that a block may write, on any way."""
-    found: dict[Key, None] = {}
-    for statement in block:
-        match statement:
-            case stmt.Assign(place):
-                found[key_of(place)] = None
-            case stmt.If(_, then, orelse):
-                found.update(written(then))
-                found.update(written(orelse))
-            case stmt.For() | stmt.While():
-                found.update(written(statement.block))
-            case _:
-                pass
-    return found
+    return {key_of(statement.place): None for statement in statements(block) if isinstance(statement, stmt.Assign)}
 
 
 def kept_by(loop: Loop) -> dict[Key, None]:
@@ -194,17 +182,14 @@ def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
     return {**continued, **so_far}, True, continues
 
 
-def temps_of(block: object) -> dict[str, Type]:
+def temps_of(block: stmt.Block) -> dict[str, Type]:
     """The types of the variables that a block declares itself."""
     found: dict[str, Type] = {}
-    for node in nodes(block):
-        match node:
-            case stmt.Let(name, type_):
-                found[name] = type_
-            case stmt.For(names, types):
-                found.update(zip(names, types, strict=True))
-            case _:
-                pass
+    for statement in statements(block):
+        if isinstance(statement, stmt.Let):
+            found[statement.name] = statement.type
+        elif isinstance(statement, stmt.For):
+            found.update(zip(statement.names, statement.types, strict=True))
     return found
 
 
@@ -213,15 +198,17 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
-                if any(isinstance(n, ir.TempRead) and n.name in names for n in nodes(value)):
+                if any(isinstance(n, ir.TempRead) and n.name in names for n in walk(value)):
                     return True
             case stmt.If(_, then, orelse):
                 if tells(then, names) or tells(orelse, names):
                     return True
             case stmt.For() | stmt.While() | stmt.Let():
                 return True
-            case _:
+            case stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Stop():
                 pass
+            case _:
+                assert_never(statement)
     return False
 
 
@@ -273,8 +260,10 @@ class Writes:
                     self.opaque.update(written(statement.block))
                     if leaves(statement):
                         segment, sure = segment + 1, False
-                case _:
+                case stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Return() | stmt.Stop():
                     pass
+                case _:
+                    assert_never(statement)
 
     def of(self, key: Key) -> list[Write]:
         """The statements that write a variable; none where an inner loop writes it, too."""
@@ -290,7 +279,7 @@ class Writes:
         leaves alone."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
-        for part in nodes(node):
+        for part in walk(node):
             if isinstance(part, (ir.PortCall, ir.ExternCall, ir.SlotsRead)):
                 return False
             if isinstance(part, ir.SlotRead) and ("slot", part.name) in self.changed:
@@ -309,9 +298,9 @@ class Writes:
         return True
 
 
-def leaves(part: object) -> bool:
+def leaves(part: stmt.Stmt) -> bool:
     """Return whether a statement may end the turn, the loop or the event."""
-    return any(isinstance(n, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for n in nodes(part))
+    return any(isinstance(s, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for s in statements((part,)))
 
 
 def step_of(write: Write) -> int | None:

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence, Type
 from koordgen.verify.prove.encode.encoder import ExprEncoder, Scope
 from koordgen.verify.prove.encode.geometry import path_of
 from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Fleet, Known, Val
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
@@ -105,11 +105,11 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
     """Return whether an instance may have no value, as far as its operations tell."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
-    for part in nodes(node.body):
+    for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
             named.add(part.name)
     named.update(name for name, value in scope.temps.items() if value in e.room.granted and name != node.name)
-    for part in nodes(node.body):
+    for part in walk(node.body):
         match part:
             case ir.Binary(op) if op in _PARTIAL:
                 return True
@@ -147,7 +147,7 @@ def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
     return t.not_(room.nowhere[key])
 
 
-def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
+def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> Domain:
     """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
@@ -165,7 +165,7 @@ def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: object, name: str)
     return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
 
 
-def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: object, name: str) -> Domain:
+def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) -> Domain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.room.size and e.room.robots is None:
@@ -191,21 +191,21 @@ def _speaks_of(term: Term, part: Term) -> bool:
     return term is part or (isinstance(term, t.Op) and any(_speaks_of(arg, part) for arg in term.args))
 
 
-def names_robots(body: object, name: str) -> bool:
+def names_robots(body: Part, name: str) -> bool:
     """Return whether a number may be used as the index of a robot; a number that is handed on may."""
-    for part in nodes(body):
+    for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
-                used: object = index
+                used: Part = index
             case ir.At(operand, index) if isinstance(operand.type, PerRobot):
                 used = index
-            case ir.Compare(_, left, right) if any(isinstance(n, (ir.Pid, ir.NSys)) for n in nodes((left, right))):
+            case ir.Compare(_, left, right) if any(isinstance(n, (ir.Pid, ir.NSys)) for n in walk((left, right))):
                 used = (left, right)
             case ir.Call() | ir.ExternCall() | stmt.Assign() | stmt.Let() | stmt.Return():
                 used = part
             case _:
                 continue
-        if any(isinstance(n, ir.TempRead) and n.name == name for n in nodes(used)):
+        if any(isinstance(n, ir.TempRead) and n.name == name for n in walk(used)):
             return True
     return False
 

@@ -12,6 +12,7 @@ from typing import NamedTuple, assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.expr import Encoder
 from koordgen.verify.prove.encode.loop import (
@@ -33,7 +34,6 @@ from koordgen.verify.prove.encode.loop import (
 )
 from koordgen.verify.prove.encode.quantifier import Domain, domain, names_robots
 from koordgen.verify.prove.encode.state import Key, State, Written, slots
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Fleet, Val, pick, truth
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import Fact
@@ -248,8 +248,8 @@ class Frame:
             return "cut"
         if over.few is not None:
             return "unrolled"
-        inner = [n for n in nodes(loop.block) if isinstance(n, (stmt.For, stmt.While))]
-        return "search" if all(isinstance(n, stmt.For) and is_search(n) for n in (loop, *inner)) else "cut"
+        inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
+        return "search" if all(isinstance(s, stmt.For) and is_search(s) for s in (loop, *inner)) else "cut"
 
     def unrolled(self, loop: stmt.For, elements: list[Val]) -> Term:
         live: Term = t.TRUE
@@ -591,7 +591,7 @@ class _Turns:
             )
             return t.implies(between, held(value))
 
-        robots = any(isinstance(n, ir.NSys) for n in nodes(tuple(parts))) or names_robots(tuple(parts), key[1])
+        robots = any(isinstance(n, ir.NSys) for n in walk(tuple(parts))) or names_robots(tuple(parts), key[1])
         self.room.for_all(instance, robots, True)
 
     def reads_only_fixed(self, part: ir.Expr, others: set[Key]) -> bool:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.ports import clearable, clears, held, ports
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.lists import default
 from koordgen.verify.prove.encode.loop import temps_of, written
 from koordgen.verify.prove.encode.scope import OfFleet
 from koordgen.verify.prove.encode.state import Free, Key, State
 from koordgen.verify.prove.encode.stmt import Env, Frame
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Val, pick, truth
 from koordgen.verify.prove.obligations.moment import Stage
 from koordgen.verify.prove.smt import term as t
@@ -142,7 +142,7 @@ class Ready:
 
 def _named(block: stmt.Block) -> set[int]:
     """The numbers with which a block compares `pid`."""
-    pairs = [(n.left, n.right) for n in nodes(block) if isinstance(n, ir.Compare)]
+    pairs = [(n.left, n.right) for n in walk(block) if isinstance(n, ir.Compare)]
     pairs += [(right, left) for left, right in pairs]
     return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from typing import assert_never
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
@@ -54,5 +55,9 @@ def _at_heads(setting: Setting, owner: str, block: stmt.Block) -> Iterator[str]:
                     yield f"{name}-entry"
                     if has_next_turn(loop):
                         yield f"{name}-turn"
-            case _:
+            case (
+                stmt.Assign() | stmt.Let() | stmt.Emit() | stmt.Break() | stmt.Continue() | stmt.Return() | stmt.Stop()
+            ):
                 pass
+            case _:
+                assert_never(statement)

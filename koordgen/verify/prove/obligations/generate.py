@@ -14,11 +14,11 @@ from typing import Literal, NamedTuple
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import replace
 from koordgen.verify.prove.encode.loop import conjuncts, temps_of
 from koordgen.verify.prove.encode.state import Begun, Free, Moved, State, Written
 from koordgen.verify.prove.encode.stmt import Frame, Head
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.begin import Launch, Ready, Run, ended, launched
 from koordgen.verify.prove.obligations.goal import goal, goal_at
@@ -117,7 +117,7 @@ def written_down(setting: Setting, part: Part) -> list[Obligation]:
     for name in part.invariants:
         kind: Kind = "well-defined" if name == WELL_DEFINED else part.kind
         found.append(_unwritten(setting, _named(name, part.kind, part.name), name, kind, part, reason))
-    for loop in nodes(part.block):
+    for loop in walk(part.block):
         if isinstance(loop, (stmt.For, stmt.While)):
             for at, _ in setting.loops.stated(loop):
                 name = _named_at_head(at.invariant, part.kind, part.name, loop.span.line, "entry")
@@ -155,7 +155,7 @@ def consistency(setting: Setting) -> list[Obligation]:
     """All that is asked of the assumptions, whatever the program does."""
     asked = [(name, False) for name in CONSISTENT]
     assumed = [a.formula for module in setting.program.modules for a in module.assumptions]
-    if setting.robots is None and any(isinstance(node, ir.Pid) for node in nodes(tuple(assumed))):
+    if setting.robots is None and any(isinstance(node, ir.Pid) for node in walk(tuple(assumed))):
         asked.append(("environment", True))
     return [_consistency(setting, name, of_two) for name, of_two in asked]
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.quantifier import domain as domain_of
 from koordgen.verify.prove.encode.scope import OfFleet
 from koordgen.verify.prove.encode.state import State, Written
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.moment import Stage
 from koordgen.verify.prove.smt import term as t
@@ -109,14 +109,14 @@ class _Goals:
         yield over.element(place), over.inside(place)
 
 
-def _names_robots(formula: object, variables: frozenset[str]) -> bool:
+def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
     """Whether a formula reads what robots have by its outer quantifiers' variables alone."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)
         case ir.Quantified("forall", name, ir.Ids(), body):
             return _names_robots(body, variables | {name})
-    for node in nodes(formula):
+    for node in walk(formula):
         match node:
             case ir.LocalOf(_, robot) | ir.PortOf(_, _, robot) | ir.SlotRead(_, robot):
                 if not (isinstance(robot, ir.TempRead) and robot.name in variables):

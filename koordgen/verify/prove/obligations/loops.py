@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import statements, walk
 from koordgen.verify.prove.encode.loop import Loop, Way, kept_by, way_of
 from koordgen.verify.prove.encode.state import Key
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.smt.obligation import AtHead
 
 INIT = "init"
@@ -32,7 +32,7 @@ class LoopInvariants:
         self.events = frozenset(event.name for event in program.events)
         self.number: dict[int, tuple[str, int]] = {}
         for owner, block in blocks(program):
-            loops = [n for n in nodes(block) if isinstance(n, (stmt.For, stmt.While))]
+            loops = [s for s in statements(block) if isinstance(s, (stmt.For, stmt.While))]
             self.number.update({id(loop): (owner, number) for number, loop in enumerate(loops)})
 
     def way(self, loop: Loop) -> Way:
@@ -72,4 +72,4 @@ def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
 
 def stating(program: decl.Program) -> list[decl.Function]:
     """The functions in which loops have invariants."""
-    return [f for f in program.functions if any(isinstance(n, stmt.LoopInvariant) for n in nodes(f.block))]
+    return [f for f in program.functions if any(isinstance(n, stmt.LoopInvariant) for n in walk(f.block))]

@@ -9,6 +9,7 @@ from typing import Literal
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.ports import clears
+from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.function import Functions
@@ -18,7 +19,6 @@ from koordgen.verify.prove.encode.room import Room, symbol
 from koordgen.verify.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.verify.prove.encode.state import Key, State, Written, cleared, declared, sensors
 from koordgen.verify.prove.encode.stmt import Head
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.obligations.fragment import complete
 from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
@@ -101,7 +101,7 @@ class Stage:
         """What is said of params alone at the mission's start holds for good."""
         for part in conjuncts(formula):
             if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
-                       for n in nodes(part)):  # fmt: skip
+                       for n in walk(part)):  # fmt: skip
                 with self.room.about("initially", part.span.line):
                     self.assume(part, OfFleet(_Nowhere()))
 
@@ -177,7 +177,7 @@ class Stage:
                     self._each_robot(assumption, before, after)
 
     def _each_robot(self, assumption: decl.Assumption, before: State, after: State) -> None:
-        parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in nodes(p))]
+        parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in walk(p))]
 
         def instance(robot: Term) -> Term:
             inside = t.TRUE if self.room.indices.get(robot) else self.room.within(robot)
@@ -199,8 +199,9 @@ class Stage:
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
         """A formula with primed ports or actuators is about a later moment, when they may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
-        ports = {("port", f"{n.module}.{n.port}") for n in nodes(part) if isinstance(n, ir.PortRead)}
-        if not calls or not ports <= self.setting.sensors or any(getattr(n, "primed", False) for n in nodes(part)):
+        reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
+        ports = {("port", f"{n.module}.{n.port}") for n in reads}
+        if not calls or not ports <= self.setting.sensors or any(n.primed for n in reads):
             return
         call, free = calls[0]
         if len(call.args) != len(args):
@@ -313,21 +314,21 @@ class _Nowhere:
 def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
     """The names in an axiom that stand for all values; the calls in it that are made of all of them."""
     free = decl.free(axiom)
-    calls = [n for n in nodes(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
+    calls = [n for n in walk(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
     return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:
     """Whether a quantifier over robots stands within another."""
-    for node in nodes(formula):
+    for node in walk(formula):
         if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
             return around or _pairs(node.body, True)
     return False
 
 
-def mentioned(formula: object) -> Iterator[Key]:
+def mentioned(formula: Part) -> Iterator[Key]:
     """The variables that a formula or a block reads or writes."""
-    for node in nodes(formula):
+    for node in walk(formula):
         match node:
             case ir.LocalOf(name) | ir.LocalRead(name) | stmt.LocalPlace(name):
                 yield "local", name

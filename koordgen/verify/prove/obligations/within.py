@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.loop import conjuncts, temps_of, written
 from koordgen.verify.prove.encode.state import Begun, Key, State
 from koordgen.verify.prove.encode.stmt import Env, Frame
-from koordgen.verify.prove.encode.tree import nodes
 from koordgen.verify.prove.encode.values import Val, truth
 from koordgen.verify.prove.obligations.moment import Stage, mentioned
 from koordgen.verify.prove.smt import term as t
@@ -23,7 +23,7 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
     room, program = stage.room, stage.setting.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in stage.setting.types if key[0] in ("local", "slot")]
-    followed = {e.name for e in program.events if stage.setting.told == "most" and _followed(e, program)}
+    followed = {e.name for e in program.events if stage.setting.told == "most" and _followed(e)}
 
     def instance(robot: Term) -> Term:
         acting = room.same(robot, begun.own)
@@ -66,13 +66,11 @@ def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
     return t.all_of(parts)
 
 
-def _followed(event: decl.Event, program: decl.Program) -> bool:
+def _followed(event: decl.Event) -> bool:
     """Whether what a robot wrote in an event is a function of what it saw at the round's start: of a transaction it is
     not, nor what a port answers; a loop's is not known, and contracts hold but where the call is made."""
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
-    called = [f.block for f in program.functions]
-    calls = any(isinstance(n, ir.ExternCall) for n in nodes(called))
-    return event.lock is None and not calls and not any(isinstance(n, unknown) for n in nodes(event.effect))
+    return event.lock is None and not any(isinstance(n, unknown) for n in walk(event.effect))
 
 
 def _wrote(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Env:
@@ -85,7 +83,7 @@ def _wrote(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Env:
 def _own(key: Key, part: ir.Expr) -> bool:
     if key[0] != "slot":
         return key[0] != "cell"
-    reads = [n for n in nodes(part) if isinstance(n, (ir.SlotRead, ir.SlotsRead)) and n.name == key[1]]
+    reads = [n for n in walk(part) if isinstance(n, (ir.SlotRead, ir.SlotsRead)) and n.name == key[1]]
     return all(isinstance(n, ir.SlotRead) and isinstance(n.index, ir.Pid) for n in reads)
 
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.report.ledger import LEMMAS
-from koordgen.verify.prove.report.spell import nodes, spelled
+from koordgen.verify.prove.report.spell import spelled
 from koordgen.verify.prove.smt.obligation import Fact, Obligation
 from koordgen.verify.prove.smt.solve import Answer
 from koordgen.verify.prove.smt.term import NONLINEAR
@@ -56,12 +57,12 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
         within: set[ir.Expr] = set()  # of those that were named
-        for node in nodes(part):
+        for node in walk(part):
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):
                     if node not in within:
                         yield f"`{spelled(node)}` (line {node.span.line})"
-                    within.update(n for n in nodes(node) if isinstance(n, ir.Binary))
+                    within.update(n for n in walk(node) if isinstance(n, ir.Binary))
     if any(fact.label == "distance of two points" and not fact.line for fact in facts):
         yield "distances told by the squares of coordinates"
 

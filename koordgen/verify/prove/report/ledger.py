@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
 from koordgen.lang.source import Span
 from koordgen.verify.prove.encode.geometry import DISTANCES, PATHS
-from koordgen.verify.prove.report.spell import nodes, spelled
+from koordgen.verify.prove.report.spell import spelled
 from koordgen.verify.prove.smt.obligation import Obligation
 
 AGENTS = (
@@ -87,7 +88,7 @@ def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
     """What a `spec fun` says nobody can evaluate, and so not watch."""
     specs = {spec.name for spec in program.specs}
-    return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in nodes(formula)) else SIMULATOR
+    return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 
 
 def _general(program: decl.Program) -> Iterator[Entry]:

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.node import nodes, replace
+from koordgen.lang.ir.tree import walk
+from koordgen.lang.node import replace
 from koordgen.lang.semantics.eval import Discarded, View, elements, holds
 from koordgen.lang.semantics.exact import NotExact, made_exact
 from koordgen.lang.semantics.exec import Budget, NoMeaning, library
@@ -226,7 +227,7 @@ def _event(reading: Reading) -> Counterexample:
                 return _told(reading, begun, before, before, pid, str(outcome))
             continue
         after = applied(program, before, Step(pid, event.name, outcome))
-        stated = [claim for claim in nodes(event.effect) if isinstance(claim, stmt.LoopInvariant)]
+        stated = [claim for claim in walk(event.effect) if isinstance(claim, stmt.LoopInvariant)]
         for claim in stated if obligation.kind == "loop" else ():
             if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")

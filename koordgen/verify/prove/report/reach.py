@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.ports import clearable
+from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
-from koordgen.lang.node import Node
 from koordgen.lang.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exact import NotExact, made_exact
@@ -27,7 +27,6 @@ from koordgen.lang.semantics.relations import choice, is_order_of_agents
 from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, initial, round_, run_init, select, sense
 from koordgen.lang.semantics.values import Value
-from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Point
 from koordgen.verify.prove.report.model import Conjunct, allowed, failing, made_state, true
 from koordgen.verify.prove.report.reading import Unshowable
@@ -264,22 +263,11 @@ def _is(value: Any, type_: Type) -> bool:
     return type_ in kinds and isinstance(value, kinds[type_])
 
 
-def literals(node: object) -> Iterator[Value]:
+def literals(part: Part) -> Iterator[Value]:
     """The numbers that formulas or statements name."""
-    match node:
-        case ir.Const(value):
-            if not isinstance(value, (bool, str)):
-                yield made_exact(value)
-        case tuple():
-            for part in node:
-                yield from literals(part)
-        case Span():
-            return
-        case Node():
-            for field in type(node).__match_args__:  # type: ignore[attr-defined]
-                yield from literals(getattr(node, field))
-        case _:
-            return
+    for node in walk(part):
+        if isinstance(node, ir.Const) and not isinstance(node.value, (bool, str)):
+            yield made_exact(node.value)
 
 
 def _distinct(values: Iterable[Any]) -> list[Any]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from typing import Any
+from typing import assert_never
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Type
-from koordgen.lang.node import Node
-from koordgen.lang.source import Span
 
 _BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
 _ORDER = {"<", "<="}
@@ -77,7 +75,11 @@ def _chained(parts: list[ir.Expr]) -> list[str]:
     return found
 
 
-def _atom(node: ir.Expr) -> str:
+def _atom(
+    node: ir.Const | ir.Pid | ir.NSys | ir.Ids | ir.ParamRead | ir.LocalRead | ir.TempRead | ir.SlotRead | ir.SlotsRead
+    | ir.SharedRead | ir.PortRead | ir.LocalOf | ir.PortOf | ir.Range | ir.Make | ir.Field | ir.Item | ir.At | ir.Slice
+    | ir.With | ir.Builtin | ir.Call | ir.ExternCall | ir.PortCall,
+) -> str:  # fmt: skip
     match node:
         case ir.Const(value):
             return number(Fraction(value)) if isinstance(value, (float, Fraction)) else repr(value)
@@ -117,7 +119,7 @@ def _atom(node: ir.Expr) -> str:
         case ir.PortCall(module, port, args):
             return f"{module}.{port}({_list(args)})"
         case _:
-            raise AssertionError(f"{type(node).__name__} is no expression")
+            assert_never(node)
 
 
 def _made(items: tuple[ir.Expr, ...], type_: Type) -> str:
@@ -150,14 +152,3 @@ def number(value: Fraction | int) -> str:
         if len(text) <= MOST_DIGITS and text != "inf" and (near == exact or Fraction(text) == exact):
             return text
     return f"~{near:.6g}"
-
-
-def nodes(node: object) -> Iterator[Any]:
-    """A formula and all its parts."""
-    if isinstance(node, tuple):
-        for part in node:
-            yield from nodes(part)
-    elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
-        yield node
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
-            yield from nodes(getattr(node, field))

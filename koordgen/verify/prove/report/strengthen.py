@@ -12,10 +12,10 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import map_children, walk
 from koordgen.lang.ir.types import BOOL, INT, POINT, RECT, Type, list_of
-from koordgen.lang.node import Node, replace
-from koordgen.lang.source import Span
-from koordgen.verify.prove.report.spell import nodes, spelled
+from koordgen.lang.node import replace
+from koordgen.verify.prove.report.spell import spelled
 
 MOST = 24  # candidates that are tried
 MARK = "(candidate)"
@@ -117,7 +117,7 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
     """Conjuncts that speak of one and the same variable, of each robot alone, joined."""
     found: dict[object, ir.Expr] = {}
     for part in parts:
-        about = {_key(node) for node in nodes(part)} - {None}
+        about = {_key(node) for node in walk(part)} - {None}
         match part:
             case ir.Quantified("forall", name, domain, body, type_, span) if len(about) == 1:
                 key = (name, domain, *about)
@@ -132,9 +132,9 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
 def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
     """The formula about other variables: each variable in it by each other of its type, everywhere at once."""
     subjects: dict[tuple[str, str], Type] = {}
-    for node in nodes(formula):
+    for node in walk(formula):
         key = _key(node)
-        if key is not None:
+        if key is not None and isinstance(node, _READS):
             subjects.setdefault(key, node.type)
     for key, type_ in subjects.items():
         for other in _variables(program):
@@ -159,6 +159,9 @@ def _variables(program: decl.Program) -> Iterator[tuple[tuple[str, str], Type]]:
         yield ("local", local.name), local.type
 
 
+_READS = (ir.PortOf, ir.SlotRead, ir.LocalOf)
+
+
 def _key(node: object) -> tuple[str, str] | None:
     match node:
         case ir.PortOf(module, port):
@@ -171,16 +174,11 @@ def _key(node: object) -> tuple[str, str] | None:
             return None
 
 
-def _renamed(node: Any, key: tuple[str, str], other: tuple[str, str]) -> Any:
-    if isinstance(node, tuple):
-        return tuple([_renamed(part, key, other) for part in node])
-    if not isinstance(node, Node) or isinstance(node, Span):
-        return node
-    if _key(node) == key:
-        robot = node.index if isinstance(node, ir.SlotRead) else node.robot  # type: ignore[attr-defined]
-        return _read(other, robot, node)
-    fields = [_renamed(getattr(node, field), key, other) for field in type(node).__match_args__]  # type: ignore[attr-defined]
-    return type(node)(*fields)
+def _renamed(node: ir.Expr, key: tuple[str, str], other: tuple[str, str]) -> ir.Expr:
+    """A formula that reads another variable wherever it reads the one of that key, but in the index of such a read."""
+    if isinstance(node, _READS) and _key(node) == key:
+        return _read(other, node.index if isinstance(node, ir.SlotRead) else node.robot, node)
+    return map_children(node, lambda child: _renamed(child, key, other))
 
 
 def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
@@ -204,10 +202,10 @@ Sensor = tuple[decl.Module, decl.Port]
 
 def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
     """Those that an invariant speaks of."""
-    read = {(n.module, n.port) for n in nodes(invariant.formula) if isinstance(n, ir.PortOf)}
+    read = {(n.module, n.port) for n in walk(invariant.formula) if isinstance(n, ir.PortOf)}
     found = []
     for module in program.modules:
-        told = [n for a in module.assumptions for n in nodes(a.formula) if isinstance(n, ir.PortRead) and n.primed]
+        told = [n for a in module.assumptions for n in walk(a.formula) if isinstance(n, ir.PortRead) and n.primed]
         known = {n.port for n in told}
         for port in module.ports:
             if port.direction == "sensor" and (module.name, port.name) in read and port.name not in known:

@@ -229,7 +229,7 @@ MUTANTS: dict[str, Mutant] = {
         "self.room.given(", "self.room.fact("),
     "an assumption about ports after the step holds before it": Mutant(
         "V12", UNSOUND, Stage._of_answer, "a plan for the next level",
-        'or any(getattr(n, "primed", False) for n in nodes(part)):', ":"),
+        'or any(n.primed for n in reads):', ":"),
     "of a port's answer nothing is known": Mutant(
         "V12", WEAKER, Stage.answered, "contradicting plans",
         "for module in self.setting.program.modules:", "for module in ():"),
