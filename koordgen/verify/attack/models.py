@@ -111,7 +111,7 @@ class Models:
         logic = f"QF_UF{'N' if traits & t.NONLINEAR else 'L'}{'IRA' if traits & t.REALS else 'IA'}"
         name = event.name if event is not None else "environment"
         return Obligation(
-            f"attack-{name}", "consistency", "", name, self.program.path, 1, logic, facts, None, "sat", (), cells, True,
+            f"attack-{name}", "consistency", "", name, self.program.path, 1, logic, facts, None, "sat", (), cells,
             robots, (),
         )  # fmt: skip
 

@@ -36,7 +36,7 @@ def obligation(facts: dict[str, Term], goal: Term | None, **more: Any) -> Obliga
     fields = {
         "name": "Bounded-Go", "kind": "event", "invariant": "Bounded", "event": "Go", "file": "app.koord", "line": 9,
         "logic": "QF_UFLIRA", "facts": listed, "goal": shown, "expected": "unsat" if goal else "sat", "conjuncts": (),
-        "cells": (), "complete": True, "robots": None, "notes": (),
+        "cells": (), "robots": None, "notes": (),
     }  # fmt: skip
     return Obligation(**{**fields, **more})
 

@@ -89,7 +89,6 @@ class Room:
         self.known: dict[Term, Term] = {}  # what the guard tells of single variables
         self.instantiating = False
         self.passes = 0
-        self.partial = False  # not every universal was looked at everywhere
         self.position = 0  # how many loop heads and loop ends were encoded so far
         self.known_from = 0  # the position of the facts that are being gathered
         self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
@@ -238,8 +237,7 @@ class Room:
         """What is said of all robots is to be said of this one."""
         if self.robots is None and index not in self.ignored and (known or index not in self.indices):
             if self.instantiating and self.passes > GENERATIONS:
-                self.partial = True  # instances of instances of instances: there is no end to them
-                return
+                return  # instances of instances of instances: there is no end to them
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None
@@ -248,9 +246,7 @@ class Room:
         """What is said of all elements of a domain is to be said of the one at this place."""
         if robots:
             self.robot(place, witness=True)
-        if places and self.instantiating and self.passes > GENERATIONS:
-            self.partial = True
-        elif places:
+        if places and not (self.instantiating and self.passes > GENERATIONS):
             self.places[place] = None
 
     def acting(self, name: str) -> Term:
@@ -307,7 +303,6 @@ class Room:
         terms: list[Term] = []
         if universal.robots:
             terms += outer if universal.inner else robots
-            self.partial = self.partial or (universal.inner and len(outer) < len(robots))
         if universal.places:
             terms += places
         terms = [index for index in terms if index not in universal.done]

@@ -286,7 +286,6 @@ class Frame:
         path, depth = room.path, len(room.path)
         if not tells(loop.block, loop.names):
             room.ignored.add(first)
-            room.partial = True
 
         def leaves(index: Term) -> Term:
             self.restore(start)
@@ -381,7 +380,6 @@ class Frame:
             self.room.element(index, over.robots, over.places)
         else:
             self.room.ignored.add(index)
-            self.room.partial = True
 
     def count(self, loop: Loop, index: Term) -> None:
         """The variable of a loop over numbers, for the loop's invariants: the next value."""

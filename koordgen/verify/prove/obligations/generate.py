@@ -130,7 +130,7 @@ def _unwritten(setting: Setting, name: str, invariant: str, kind: Kind, part: Pa
     path, robots = setting.program.path, setting.robots
     goal = None if kind == "consistency" else Fact(invariant, t.FALSE, path, part.line)
     expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
-    return Obligation(name, kind, invariant, part.name, path, part.line, "QF_UFLIA", (), goal, expected, (), (), False,
+    return Obligation(name, kind, invariant, part.name, path, part.line, "QF_UFLIA", (), goal, expected, (), (),
                       robots, (reason,), None, reason)  # fmt: skip
 
 
@@ -341,7 +341,6 @@ class _Output:
         self.traits = 0
         for fact in facts:
             self.traits |= fact.term.traits
-        self.complete = stage.setting.complete and not stage.room.partial
         self.names: Counter[str] = Counter()
 
     def all(self, goals: Sequence[Goal], demands: Sequence[Fact], ended: tuple[Fact, ...]) -> list[Obligation]:
@@ -375,7 +374,7 @@ class _Output:
             self.traits |= fact.term.traits
         return Obligation(
             name, kind or self.kind, wanted.invariant, self.event, program.path, self.line, self.logic(), facts,
-            goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
+            goal, "sat" if goal is None else "unsat", conjuncts, self.cells,
             self.stage.setting.robots, self.notes, wanted.at,
         )  # fmt: skip
 

@@ -20,7 +20,6 @@ from koordgen.verify.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.verify.prove.encode.state import Key, State, Written, cleared, declared, sensors
 from koordgen.verify.prove.encode.stmt import Head
 from koordgen.verify.prove.encode.values import Val, build, shape
-from koordgen.verify.prove.obligations.fragment import complete
 from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import AtHead, Cell, Fact, Moment
@@ -51,7 +50,6 @@ class Setting:
         self.invariants = [p for p in program.properties if p.kind == "invariant"]
         self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
-        self.complete = self.unrolled or complete(program)
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
         numbered = robots if self.unrolled else None
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)

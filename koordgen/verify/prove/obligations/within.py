@@ -23,7 +23,7 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
     room, program = stage.room, stage.setting.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in stage.setting.types if key[0] in ("local", "slot")]
-    followed = {e.name for e in program.events if stage.setting.told == "most" and _followed(e)}
+    followed = {e.name for e in program.events if stage.setting.told == "most" and _followed(e, program)}
 
     def instance(robot: Term) -> Term:
         acting = room.same(robot, begun.own)
@@ -66,11 +66,14 @@ def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
     return t.all_of(parts)
 
 
-def _followed(event: decl.Event) -> bool:
-    """Whether what a robot wrote in an event is a function of what it saw at the round's start: of a transaction it is
-    not, nor what a port answers; a loop's is not known, and contracts hold but where the call is made."""
+def _followed(event: decl.Event, program: decl.Program) -> bool:
+    """Return whether what a robot wrote in an event is a function of what it saw at the round's start: of a transaction
+    it is not, nor what a port answers; a loop's is not known, and contracts hold but where the call is made, also the
+    one in a function."""
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
-    return event.lock is None and not any(isinstance(n, unknown) for n in walk(event.effect))
+    bodies = tuple([f.block for f in program.functions])
+    calls = any(isinstance(n, ir.ExternCall) for n in walk(bodies))
+    return event.lock is None and not calls and not any(isinstance(n, unknown) for n in walk(event.effect))
 
 
 def _wrote(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Env:
