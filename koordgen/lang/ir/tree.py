@@ -1,8 +1,7 @@
 """The one way through trees of the IR: `children`, `walk`, `statements`, `map_children`, `transform`.
 
 A child is a node of the program in a field of another one: an expression, a statement, a place that is written, a
-declaration. Types, meanings of ports and spans are no children, and have none: they are read
-where they stand.
+declaration. Types, meanings of ports and spans are no children, and have none: they are read where they stand.
 
 The order is that of the fields. It is the order of the text but for a Conditional, whose condition comes before `then`,
 and for loops, whose invariants come behind the block.

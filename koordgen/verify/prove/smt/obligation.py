@@ -52,10 +52,10 @@ class Obligation(Node):
     """The facts imply the goal, where `expected` is "unsat" (of the facts and the goal's negation); a consistency
     obligation has no goal and its facts are satisfiable. `invariant` is its name ("(well-defined)" for that one);
     `event` the event's or "init", "(environment)", "" where there is none. `conjuncts`: the goal in parts, so that a
-    counterexample can tell which of them fails. `robots`: None for every N_SYS. `notes`: each
-    approximation that was made, and what is assumed without being in the program. `at`: of kind "loop", the head of a loop and what is assumed there.
-    `unwritten`: the reason why its formulas were not written down, where they are too large: no solver is asked, and
-    the answer is "unknown"."""
+    counterexample can tell which of them fails. `robots`: None for every N_SYS. `notes`: each approximation that was
+    made, and what is assumed without being in the program. `at`: of kind "loop", the head of a loop and what is assumed
+    there. `unwritten`: the reason why its formulas were not written down, where they are too large: no solver is asked,
+    and the answer is "unknown"."""
 
     name: str
     kind: Kind
