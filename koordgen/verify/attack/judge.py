@@ -246,9 +246,11 @@ class Judge:
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
 
-    def event(self, start: State, now: State, pid: int, event: decl.Event) -> tuple[State, Act, Breach | None] | None:
+    def event(
+        self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[Answer] | None = None
+    ) -> tuple[State, Act, Breach | None] | None:
         """Run an event of robot `pid` that `ready` found; None where it is discarded. Raises Unusable."""
-        self.ports.lacking = ""
+        self.ports.begin(now, given)  # since `ready`, other states may have been looked at
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -354,7 +356,7 @@ class Judge:
         ready = self.ready(start, now, act.pid, act.answers)
         for event in ready.events:
             if event.name == act.event:
-                step = self.event(start, now, act.pid, event)
+                step = self.event(start, now, act.pid, event, act.answers)
                 if step is None:
                     raise Refused(f"event {act.event} of robot {act.pid} is discarded")
                 return step[0], step[2]

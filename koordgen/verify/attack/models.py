@@ -41,7 +41,7 @@ class Models:
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        self.asked: dict[tuple[str, int], _Asked] = {}
+        self.asked: dict[tuple[str, int], _Asked | None] = {}  # None: too large to be written down
         self.why = ""
         self.waited = 0.0  # seconds for the solver
         t.forget()
@@ -51,8 +51,15 @@ class Models:
         None where there is none that can be read, and `why` says the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
-            self.asked[key] = _Asked(self._hypotheses(event, robots))
+            t.count_anew()
+            try:
+                self.asked[key] = _Asked(self._hypotheses(event, robots))
+            except t.TooLarge as error:
+                self.asked[key] = None
+                self.why = f"what is assumed of a state cannot be written down: {error}"
         asked = self.asked[key]
+        if asked is None:
+            return None
         for more in (self._nudges(asked), ()):
             found = self._answered(asked, more, robots, min(QUERY, most))
             if found is not None:

@@ -11,6 +11,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Followed, Judge
+from koordgen.verify.prove.smt import term
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.verify.attack.faults import FAULTS, attacked, broken, ticks
 from tests.verify.prove.battery.battery import BATTERY
@@ -45,9 +46,10 @@ def test_what_is_proved_of_right_programs_is_never_contradicted(name: str, solve
 def test_the_invariants_of_the_examples_are_never_contradicted(path: Path, solver: Solver) -> None:
     program = check_file(str(path)).program
     names = [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"]]
-    found = attack(program, names, solver=solver, clock=ticks())
-    assert found.contradiction is None
-    assert found.states
+    for seed in range(8):
+        found = attack(program, names, solver=solver, clock=ticks(), seed=seed)
+        assert found.contradiction is None
+        assert found.states
 
 
 def test_the_same_seed_gives_the_same_states() -> None:
@@ -55,6 +57,17 @@ def test_the_same_seed_gives_the_same_states() -> None:
     first, again, other = (attacked(text, BATTERY["geofence"][1], seed=seed) for seed in (1, 1, 2))
     assert first.states == again.states
     assert first.states != other.states or first.seconds != other.seconds
+
+
+def test_what_is_too_large_for_the_solver_is_attacked_without_it(
+    solver: Solver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(term, "MOST_STEPS", 20)
+    text, proved = BATTERY["geofence"]
+    found = attack(checked(text), proved, solver=solver, clock=ticks())
+    assert found.contradiction is None
+    assert found.states
+    assert any("cannot be written down" in reason for reason in found.reasons.values()), found.reasons
 
 
 STALE = """
