@@ -1,5 +1,8 @@
-"""IR expressions -> Python text, with no more parentheses than Python needs. Each name that it takes from the library or
-the program is noted (`Names.use`), and each operator that the head of the module explains."""
+"""IR expressions -> Python text, with no more parentheses than Python needs.
+
+Each name that is taken from the library or the program is noted (`Names.use`), and each operator that the head of the
+module explains.
+"""
 
 from __future__ import annotations
 
@@ -116,14 +119,15 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
 
 
 def _infix(left: str, op: str, right: str) -> str:
-    return chain(left, joined(f"{op} ", right))
+    return joined(left, f" {op} ", right)
 
 
 def _checked(node: ir.Binary, names: Names) -> str:
     """An operation whose size the runtime looks at."""
     looks = names.use(size.checked(node))
     if looks == "made":
-        return _call_of(looks, _infix(_within(node.left, names, _SUM), node.op, _within(node.right, names, _PRODUCT)))
+        last = joined(f"{node.op} ", _within(node.right, names, _PRODUCT))
+        return _call_of(looks, chain(_within(node.left, names, _SUM), last))
     return _call_of(looks, text(node.left, names), text(node.right, names))
 
 
@@ -138,8 +142,8 @@ def change(node: ir.Expr, names: Names) -> str:
 
 def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
     """Note an operator that the head of the module explains."""
-    if node.type == INT:
-        names.use("int")
+    if node.type == INT and node.op in ("+", "-", "*"):
+        names.use("+")
     if node.op in ("/", "//", "%"):
         names.use(node.op)
 
@@ -325,6 +329,9 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
             return _call_of(names.use("checked"), _call_of("sum", *given))
         case "str" if args[0].type == POINT:
             return _call_of(names.use("shown"), *given)
+        case "str":
+            names.use("str()")
+            return _call_of(name, *given)
         case _:
             return _call_of(names.use(_CALLED.get(name, name)), *given)
 

@@ -13,12 +13,10 @@ s.local_where.value = (                              else part by part
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain as concatenated
+from collections.abc import Sequence
 
 WIDTH = 100  # columns of a generated line, where the parts of an expression allow it
 STEP = "    "
-_PAIRS = 6  # of the line map in one line: within WIDTH for lines up to 99,999
 
 
 class _Code(str):
@@ -31,12 +29,13 @@ class _Code(str):
 class _Brackets(_Code):
     """An opening bracket with what stands before it, parts, and a closing bracket."""
 
-    __slots__ = ("comma",)
-    comma: bool  # whether parts end in commas where each has a line
+    __slots__ = ("comma", "dense")
+    comma: bool  # whether parts end in commas where there are several lines of them
+    dense: bool  # whether a line has as many parts as fit
 
 
 class _Chain(_Code):
-    """Parts that may stand in lines of their own within brackets: operands, each after its operator."""
+    """Parts that may stand in lines of their own between brackets: operands, each after its operator."""
 
     __slots__ = ()
 
@@ -47,21 +46,22 @@ class _Sequence(_Code):
     __slots__ = ()
 
 
-def brackets(opening: str, items: Sequence[str], closing: str) -> str:
-    """Return `f(a, b)`, `(a, b)`, `[a, b]`: `opening` is all up to the bracket."""
+def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = False) -> str:
+    """Return `f(a, b)`, `(a, b)`, `[a, b]`: `opening` is all up to the bracket. `dense`: where it is broken, a line has
+    as many items as fit."""
     if not items:
         return f"{opening}{closing}"
     found = _Brackets(f"{opening}{', '.join(items)}{closing}")
-    found.parts, found.comma = (opening, *items, closing), len(items) > 1
+    found.parts, found.comma, found.dense = (opening, *items, closing), len(items) > 1, dense
     return found
 
 
 def display(items: Sequence[str]) -> str:
     """Return a tuple of these items."""
     if len(items) != 1:
-        return brackets("(", items, ")")
+        return brackets("(", items, ")", not any(isinstance(item, _Code) for item in items))
     found = _Brackets(f"({items[0]},)")
-    found.parts, found.comma = ("(", *items, ")"), True
+    found.parts, found.comma, found.dense = ("(", *items, ")"), True, False
     return found
 
 
@@ -109,22 +109,21 @@ class Page:
         self.lines += [("", 0)] * count
 
 
-def _put(lines: list[str], code: str, indent: int, tail: int, inside: bool) -> None:
+def _put(lines: list[str], code: str, indent: int, tail: int, bare: bool) -> None:
     """Write code behind the last line. `tail`: of the last line that it makes, columns that are needed for what
-    follows. `inside`: brackets are open."""
+    follows. `bare`: it stands between brackets by itself, in a line that is empty yet."""
     if not isinstance(code, _Code) or len(lines[-1]) + len(code) + tail <= WIDTH:
         lines[-1] += code
     elif isinstance(code, _Brackets):
         _put_brackets(lines, code, indent)
     elif isinstance(code, _Sequence):
         for place, part in enumerate(code.parts):
-            _put(lines, part, indent, _needed(code.parts[place + 1 :], tail), inside)
-    elif inside:
-        deeper = indent + len(STEP) * bool(lines[-1].strip())
+            _put(lines, part, indent, _needed(code.parts[place + 1 :], tail), False)
+    elif bare:
         for place, part in enumerate(code.parts):
             if place:
-                lines.append(" " * deeper)
-            _put(lines, part, deeper, tail if place == len(code.parts) - 1 else 0, True)
+                lines.append(" " * indent)
+            _put(lines, part, indent, tail if place == len(code.parts) - 1 else 0, False)
     else:
         _put_brackets(lines, brackets("(", (code,), ")"), indent)
 
@@ -138,6 +137,11 @@ def _put_brackets(lines: list[str], code: str, indent: int) -> None:
     within = code[len(opening) : len(code) - len(closing)]
     if deeper + len(within) <= WIDTH:
         lines[-1] += within
+    elif code.dense:
+        for item in items:
+            if len(lines[-1]) + len(item) + len(" ,") > WIDTH and lines[-1].strip():
+                lines.append(" " * deeper)
+            lines[-1] += f"{' ' * bool(lines[-1].strip())}{item},"
     else:
         for place, item in enumerate(items):
             if place:
@@ -157,26 +161,16 @@ def _needed(parts: Sequence[str], tail: int) -> int:
     return columns + tail
 
 
-def module(head: Page, body: Page, tables: Page, path: str) -> str:
-    """Return a module's text: the line map stands between its body and its tables, and knows the lines of all of
-    them."""
-    count = sum(1 for _, line in concatenated(head.lines, body.lines, tables.lines) if line)
-    height = -(-count // _PAIRS)
-    above = [*head.lines, *body.lines, (f"# Line of this file: line of {path}.", 0)]
-    opened, closed = ("LINES: dict[int, int] = {", 0), ("}", 0)
-    gap = [("", 0)] * height
-    numbered = enumerate([*above, opened, *gap, closed, *tables.lines], 1)
+def line_map(head: Page, body: Page, path: str) -> Page:
+    """Return the table of the lines of the program, which faults are told by, for a module that begins with these."""
+    page = Page()
+    page.add(f"# Line of this file: line of {path}.")
+    numbered = enumerate([*head.lines, *body.lines], 1)
     pairs = [f"{number}: {line}" for number, (_, line) in numbered if line]
-    rows = [(f"{STEP}{', '.join(pairs[at : at + _PAIRS])},", 0) for at in range(0, count, _PAIRS)]
-    return text([*above, opened, *rows, closed, *tables.lines])
+    page.add(brackets("LINES: dict[int, int] = {", pairs, "}", dense=True))
+    return page
 
 
-def text(lines: Iterable[tuple[str, int]]) -> str:
-    """Return the text of lines."""
-    return "".join(_ended(lines))
-
-
-def _ended(lines: Iterable[tuple[str, int]]) -> Iterator[str]:
-    for line, _ in lines:
-        yield line
-        yield "\n"
+def text(*pages: Page) -> str:
+    """Return the text of the pages, one after the other."""
+    return "".join([f"{line}\n" for page in pages for line, _ in page.lines])

@@ -39,30 +39,33 @@ _MODULES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 HOME = {name: module for module, names in _MODULES.items() for name in names}
 
-# Names and operators, with what is said of them where a module has one of them. A call that is shown stands for all.
-_NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (("int",), "a + b of ints", "never overflows; an int beyond 64 bits that a variable would keep discards the event"),
-    (("//", "%"), "a // b, a % b", "round down, also below 0, as in Koord: -7 // 2 is -4, -7 % 2 is 1"),
-    (("/",), "a / b", "a float, also of two ints; if b is 0, the event is discarded"),
-    (("plus", "minus", "product", "checked"), "plus(a, b), ...", "a + b, ... of ints that may be large; discards the event beyond 4096 bits"),
-    (("power",), "power(a, b)", "a ** b; of two ints an int, and a negative b discards the event"),
-    (("round",), "round(x)", "to the nearest int; of two that are equally near, to the even one: round(2.5) is 2"),
-    (("no_nan", "no_nan_in"), "no_nan(x)", "x; discards the event if it is NaN, where Python's comparison is false"),
-    (("total",), "total(xs)", "the sum of floats from left to right, the same on all robots and Pythons"),
-    (("str", "shown"), "str(x), shown(p)", "numbers as Python writes them, such as 2.5 and 1e+20; a Point as (x, y, z)"),
-    (("at", "first", "last"), "at(xs, i)", "xs[i]; discards the event if there is none; i does not count from the end"),
-    (("[]",), "xs[i]", "the compiler has shown that 0 <= i < len(xs)"),
-    (("slice_", "part"), "slice_(xs, a, b)", "xs[a:b]; discards the event if a or b is negative"),
-    (("updated", "appended", "extended", "inserted", "removed", "without", "popped", "replace", "map_with", "map_without", "set_with", "set_without"),
-     "replace(r, f=v)", "a new value; records and lists never change, so that an assignment need not copy them"),
-    (("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key", "union", "intersection", "difference"),
-     "set_of, map_of", "sets and maps are sorted tuples: all robots go through them in one order"),
-    (("turn", "turns"), "turns(xs)", "xs; a turn of a loop or a call takes a turn, and an event has 1,000,000"),
-    (("made", "looked", "looked_in"), "made(xs)", "xs, new; looked(xs): xs, read; each 100 elements take a turn"),
-    (("claim", "behind"), "claim(n, holds)", "True; reports the loop invariant of line n where it does not hold"),
-    (("calls",), "f(x) + g(y)", "is evaluated from left to right, as in Koord"),
+_CHANGES = (
+    "updated", "appended", "extended", "inserted", "removed", "without", "popped", "replace", "map_with", "map_without",
+    "set_with", "set_without",
 )  # fmt: skip
-_HEADING = "# What stands below, where one may ask whether Python does as Koord:"
+_SORTED = ("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key", "union", "intersection", "difference")
+# Names, and marks of operators (`expr.py`), with what is said of them where a module has one: what is shown, how it is
+# meant. In generated code, so short: what is "discarded" there is the event, as a whole.
+_NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    (("+",), "a + b", "of ints has no overflow; a variable that would keep over 64 bits discards the event"),
+    (("//", "%"), "a // b, a % b", "round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1"),
+    (("/",), "a / b", "is a float, of two ints, too; b == 0 discards the event"),
+    (("[]",), "xs[i]", "never counts from the end: the compiler has shown that 0 <= i < len(xs)"),
+    (("at", "first", "last"), "at(xs, i)", "is xs[i]; an i below 0 or beyond the end discards the event"),
+    (("slice_", "part"), "slice_(xs, a, b)", "is xs[a:b]; an a or b below 0 discards the event"),
+    (("power",), "power(a, b)", "is a ** b, of two ints an int; then b < 0 discards the event"),
+    (("plus", "minus", "product", "checked"), "plus(a, b)", "is a + b; more than 4096 bits discard the event"),
+    (("total",), "total(xs)", "adds floats from left to right: Pythons differ in what `sum` rounds to"),
+    (("round",), "round(x)", "takes the even one of two ints that are as near: round(2.5) is 2"),
+    (("no_nan", "no_nan_in"), "no_nan(x)", "is x; NaN discards the event, where a comparison alone would be false"),
+    (("str()", "shown"), "str(x), shown(p)", "write numbers as Python does, 2.5 or 1e+20, and a Point as (x, y, z)"),
+    (_CHANGES, "appended, replace", "make a new value: none ever changes, so an assignment need not copy"),
+    (_SORTED, "set_of, map_of", "make sorted tuples: robots go through a set or map in the same order"),
+    (("turn", "turns"), "turns(xs)", "is xs, and counts: an event has a million turns of loops and calls"),
+    (("made", "looked", "looked_in"), "made(xs)", "is xs, and counts a turn for each 100 elements; so does looked(xs)"),
+    (("claim",), "claim(n, holds)", "is True, and reports the loop invariant of line n where it does not hold"),
+    (("calls",), "f(a) + g(b)", "calls f first: operands are evaluated from left to right, as in Koord"),
+)  # fmt: skip
 
 
 def imports(used: Container[str]) -> tuple[list[str], list[str], list[str]]:
@@ -83,11 +86,11 @@ def imported(module: str, names: list[str]) -> list[str]:
     if len(flat) <= WIDTH:
         return [flat]
     page = Page()
-    page.add(brackets(f"from {module} import (", names, ")"))
+    page.add(brackets(f"from {module} import (", names, ")", dense=True))
     return [line for line, _ in page.lines]
 
 
-def notes(used: Container[str]) -> list[str]:
+def notes(used: Container[str], heading: str) -> list[str]:
     """The comments on what is used; none where nothing needs one."""
-    found = [(shown, says) for keys, shown, says in _NOTES if any(key in used for key in keys)]
-    return [_HEADING, *(f"#   {shown:<18}{says}" for shown, says in found)] if found else []
+    found = [f"#   {shown:<18}{says}" for keys, shown, says in _NOTES if any(key in used for key in keys)]
+    return [heading, *found] if found else []

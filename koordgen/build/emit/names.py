@@ -55,7 +55,7 @@ class Names:
         self.calls = {f.name: self._mint(f"EXTERN_{snake(f.name).upper()}") for f in program.externs}
         self.guards = {e.name: self._mint(f"guard_{snake(e.name)}") for e in program.events}
         self.effects = {e.name: self._mint(f"effect_{snake(e.name)}") for e in program.events}
-        self.bounds = {r.type.name: self._mint(f"BOUND_{snake(r.type.name).upper()}") for r in program.records}
+        self.bounds: dict[str, str] = {}  # of records, by their text
         self.used: set[str] = set()
 
     def _mint(self, wanted: str) -> str:
@@ -79,6 +79,11 @@ class Names:
     def turns(self, name: str) -> str:
         """Mint a name for the range that a loop runs over; `name` is the loop's variable."""
         return self._mint(f"turns_{name}")
+
+    def bound(self, record: str, text: str) -> str:
+        """Mint a name for how much a record may hold. `types.bound` says it instead of the text."""
+        self.bounds[text] = self._mint(f"BOUND_{snake(record).upper()}")
+        return self.bounds[text]
 
     def use(self, name: str) -> str:
         """Return a name, and note that the text has it: of the library, of the program, or an operator that the head of

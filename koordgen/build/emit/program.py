@@ -1,4 +1,4 @@
-"""A whole IR program -> the text of its `program.py`. The line map and the names to import are noted while it is made."""
+"""A whole IR program -> the text of its `program.py`; its line map and its imports are noted while it is made."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hashlib import blake2s
 
 from koordgen import __version__
 from koordgen.build.emit import expr, floats, library, stmt
-from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, module
+from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, line_map, text
 from koordgen.build.emit.names import Names
 from koordgen.build.emit.types import annotation, bound, bound_of_record, default
 from koordgen.lang.ir import decl as ir
@@ -22,20 +22,24 @@ from koordgen.lang.source import Span
 WIRE_FORMAT = 4
 
 
+_NOTES = "# Python and Koord do the same here. Where that is not plain to see:"
+
+
 def program_text(program: ir.Program, functions: bytes = b"") -> str:
     """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `functions` is
     the user's Python file, if there is one."""
     names = Names(program)
-    body, tables = Page(), Page()
+    body = Page()
     _add_types(body, program, names)
     _add_state(body, program, names)
     _add_functions(body, program, names)
     _add_events(body, program, names)
     body.gap()
-    _add_program(tables, program, names, program_hash(program, functions))
-    text = module(_head(program, names), body, tables, program.path)
-    compile(text, "program.py", "exec")
-    return text
+    tables = _tables(program, names, program_hash(program, functions))
+    head = _head(program, names)
+    found = text(head, body, line_map(head, body, program.path), tables)
+    compile(found, "program.py", "exec")
+    return found
 
 
 def program_hash(program: ir.Program, functions: bytes = b"") -> str:
@@ -68,25 +72,34 @@ def _head(program: ir.Program, names: Names) -> Page:
     page = Page()
     page.add(f'"""{program.name}: the Koord program {program.path}, compiled by koordgen {__version__}.')
     page.gap(1)
-    page.add(f"`# line 12` names a line of {program.path}, which stands beside this file. The next build")
-    page.add("writes this file anew: change the Koord program, not this.")
+    page.add(f"The comment `# line 12` names a line of {program.path}, which stands beside this file. `s` is what")
+    page.add("an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:")
+    page.add("change the Koord program, not this.")
     page.add('"""')
     add_imports(page, library.imports(names.used))
-    for line in library.notes(names.used):
-        page.add(line)
+    add_notes(page, names, _NOTES)
     return page
 
 
 def add_imports(page: Page, groups: Iterable[list[str]]) -> None:
-    """Add import lines, behind that of annotations, with a gap behind each group."""
+    """Add import lines, behind that of annotations."""
     for group in (["from __future__ import annotations"], *groups):
         if group:
-            page.lines += [(line, 0) for line in group]
             page.gap(1)
+            page.lines += [(line, 0) for line in group]
+
+
+def add_notes(page: Page, names: Names, heading: str) -> None:
+    """Add what a reader should know of the calls and operators that a module has."""
+    found = library.notes(names.used, heading)
+    if found:
+        page.gap(1)
+        page.lines += [(line, 0) for line in found]
 
 
 def _add_types(page: Page, program: ir.Program, names: Names) -> None:
     """Add extern types, records, params and extern functions."""
+    page.gap(1 if program.extern_types else 0)
     for t in program.extern_types:
         opaque = f"{names.use('Annotated')}[{names.use('Opaque')}, {expr.literal(t.name)}]"
         page.add(f"{names.extern_types[t.name]} = {opaque}")
@@ -95,15 +108,16 @@ def _add_types(page: Page, program: ir.Program, names: Names) -> None:
         _add_record(page, record, program, names)
     if records:
         page.gap()
+        page.add("# How much a record may hold.")
     for record in records:
         bounds = bound_of_record(record.type, names)
-        page.add(joined(f"{names.bounds[record.type.name]} = ", bounds))
+        page.add(joined(f"{names.bound(record.type.name, bounds)} = ", bounds))
+    page.gap(1 if program.params else 0)
     for p in program.params:
         declared = joined(f"{names.params[p.name]}: ", annotation(p.type, names))
         page.add(joined(declared, " = ", expr.text(p.default, names)), line=p.span.line)
     if program.externs:
-        if program.params:
-            page.gap(1)
+        page.gap(1)
         library_ = expr.literal(functions_module(program))
         page.add(f"LIBRARY = {names.use('Library')}({library_})")
         for function in program.externs:
@@ -226,8 +240,8 @@ def _add_events(page: Page, program: ir.Program, names: Names) -> None:
         _add_block(page, e.effect, names)
 
 
-def _add_program(page: Page, program: ir.Program, names: Names, hashed: str) -> None:
-    """Add the tables."""
+def _tables(program: ir.Program, names: Names, hashed: str) -> Page:
+    page = Page()
     page.gap(1)
     page.add(f"PROGRAM = {names.use('Program')}(")
     page.add(f"name={expr.literal(program.name)},", STEP)
@@ -246,6 +260,7 @@ def _add_program(page: Page, program: ir.Program, names: Names, hashed: str) -> 
     page.add(joined("locks=", display(groups), ","), STEP)
     page.add(f"library={'LIBRARY' if program.externs else 'None'},", STEP)
     page.add(")")
+    return page
 
 
 def add_table(page: Page, name: str, rows: Iterable[tuple[str, int]]) -> None:

@@ -9,7 +9,7 @@ from koordgen import __version__
 from koordgen.build.emit import expr, library, surely
 from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, text
 from koordgen.build.emit.names import Names, snake
-from koordgen.build.emit.program import add_callable, add_imports, add_table
+from koordgen.build.emit.program import add_callable, add_imports, add_notes, add_table
 from koordgen.build.emit.types import annotation
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir import expr as e
@@ -19,6 +19,7 @@ from koordgen.lang.node import nodes
 # Ports of a body that a harness can measure itself, by their types; what else there is the robot says.
 _MEASURED = {"position": POINT, "velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
+_NOTES = "# As in program.py; a formula has no value where it says that the event is discarded:"
 
 
 class _Names(Names):
@@ -59,8 +60,8 @@ def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
         _left(p.kind, p.name, p.span.line, why, names) for p in program.properties if (why := _unchecked(p, program))
     ]
     left += [_left("assume", m.name, a.span.line, why, names) for m, a in places if (why := _specs(a.formula, program))]
-    page.gap(2 if page.lines else 0)
-    known = f"{names.use('Known')}"
+    page.gap(2 if page.lines else 1)
+    known = names.use("Known")
     page.add(f"PROPERTIES = {names.use('Properties')}(")
     page.add(f"program={names.use('PROGRAM')},", STEP)
     page.add(f"fleet={'Fleet' if checked else known},", STEP)
@@ -70,7 +71,7 @@ def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
     add_table(page, "unchecked", left)
     page.add(joined("measured=", _display(_measured(program, driven)), ","), STEP)
     page.add(")")
-    found = text([*_head(program, names).lines, *page.lines])
+    found = text(_head(program, names), page)
     compile(found, "properties.py", "exec")
     return found
 
@@ -144,7 +145,7 @@ def _assumption(
 
 
 def _add_function(page: Page, name: str, parameters: Sequence[str], mark: str, formula: str) -> None:
-    page.gap(2 if page.lines else 0)
+    page.gap()
     page.add(joined(brackets(f"def {name}(", parameters, ")"), " -> bool:"))
     page.add(f'"""{mark}"""', STEP)
     page.add(joined("return ", formula), STEP)
@@ -191,6 +192,7 @@ def _display(found: list[str]) -> str:
 
 def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
     """Add the class of all that properties may read."""
+    page.gap()
     page.add(f"class Fleet({names.use('Known')}):")
     page.add(
         f'"""What the properties of {program.name} are evaluated on: everything of every robot, at one moment."""', STEP
@@ -222,7 +224,7 @@ def _ports(program: ir.Program, *directions: str) -> list[tuple[ir.Module, ir.Po
 
 def _add_step(page: Page, program: ir.Program, names: Names) -> None:
     """Add the classes of all that assumptions may read."""
-    page.gap(2 if page.lines else 0)
+    page.gap()
     page.add("class Ports:")
     page.add('"""One robot\'s ports."""', STEP)
     page.gap(1)
@@ -253,9 +255,6 @@ def _head(program: ir.Program, names: Names) -> Page:
     page.gap(1)
     page.add("The next build writes this file anew: change the Koord program, not this.")
     page.add('"""')
-    page.gap(1)
     add_imports(page, [*library.imports(names.used), library.imported("program", sorted(own & names.used))])
-    for line in library.notes(names.used):
-        page.add(line)
-    page.gap(1 if page.lines[-1][0] else 0)
+    add_notes(page, names, _NOTES)
     return page

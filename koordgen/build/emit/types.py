@@ -80,8 +80,9 @@ def bound(type_: Type, names: Names) -> str:
         case TupleOf(items):
             parts = display([bound(item, names) for item in items])
             return brackets(f"{names.use('Parts')}(", [joined("items=", parts)], ")")
-        case RecordType(name):
-            return names.use(names.bounds[name])
+        case RecordType():
+            made = bound_of_record(type_, names)
+            return names.bounds.get(made, made)
         case ExternType(name):
             return f'{names.use("Blob")}(capacity={EXTERN_BYTES}, name="{name}")'
         case _:
@@ -93,7 +94,7 @@ def _many(kind: str, capacity: int, element: Type, names: Names) -> str:
 
 
 def bound_of_record(type_: RecordType, names: Names) -> str:
-    """The Python expression for a record's Bound, which `bound` calls by its name."""
+    """The Python expression for a record's Bound, which has a name if its capacities are the declared ones."""
     items = display([bound(field, names) for _, field in type_.fields])
     fields = display([f'"{names.fields[type_.name][field]}"' for field, _ in type_.fields])
     return brackets(f"{names.use('Parts')}(", [joined("items=", items), joined("fields=", fields)], ")")

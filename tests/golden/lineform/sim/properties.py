@@ -10,14 +10,11 @@ from koordgen.runtime.program.property import Known, Properties
 from program import PROGRAM
 
 PROPERTIES = Properties(
-    PROGRAM,
-    Known,
-    Known,
-    properties=(
-    ),
-    assumptions=(
-    ),
-    unchecked=(
-    ),
+    program=PROGRAM,
+    fleet=Known,
+    step=Known,
+    properties=(),
+    assumptions=(),
+    unchecked=(),
     measured=("Motion.position",),
 )
