@@ -47,7 +47,7 @@ _SORTED = ("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key",
 # Names, and marks of operators (`expr.py`), with what is said of them where a module has one: what is shown, how it is
 # meant. In generated code, so short: what is "discarded" there is the event, as a whole.
 _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (("+",), "a + b", "of ints has no overflow; a variable that would keep over 64 bits discards the event"),
+    (("+",), "a + b", "of ints has no overflow; more than 64 bits in a variable discard the event"),
     (("//", "%"), "a // b, a % b", "round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1"),
     (("/",), "a / b", "is a float, of two ints, too; b == 0 discards the event"),
     (("[]",), "xs[i]", "never counts from the end: the compiler has shown that 0 <= i < len(xs)"),

@@ -14,7 +14,7 @@ from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.values.points import Point
 
 # Python and Koord do the same here. Where that is not plain to see:
-#   a + b             of ints has no overflow; a variable that would keep over 64 bits discards the event
+#   a + b             of ints has no overflow; more than 64 bits in a variable discard the event
 #   a / b             is a float, of two ints, too; b == 0 discards the event
 
 
