@@ -9,7 +9,7 @@ from __future__ import annotations
 from koordgen.build.emit import size
 from koordgen.build.emit.alone import tells_of_itself
 from koordgen.build.emit.floats import ANY, kind
-from koordgen.build.emit.layout import brackets, chain, display, joined, longer
+from koordgen.build.emit.layout import alternatives, brackets, chain, display, joined, longer
 from koordgen.build.emit.names import Names
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
@@ -44,9 +44,12 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
-def operand_of_and(node: ir.Expr, names: Names) -> str:
-    """The Python expression for `node` as an operand of `and`."""
-    return _within(node, names, _AND)
+def and_also(node: ir.Expr, last: str, names: Names) -> str:
+    """The Python expression for `node` with one more operand of `and` behind."""
+    shown, strength = _text(node, names)
+    if strength == _AND:
+        return longer(shown, last)
+    return chain(shown if strength > _AND else brackets("(", [shown], ")"), last)
 
 
 def domain(node: ir.Expr, names: Names) -> str:
@@ -107,8 +110,8 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
                 return _call_of(names.use("has_key"), text(values, names), text(item, names)), _ATOM
             return _infix(_compared(item, names), "in", _compared(values, names)), _COMPARE
         case ir.Conditional(condition, then, orelse):
-            decided = joined("if ", _within(condition, names, _OR))
-            return chain(_within(then, names, _OR), decided, joined("else ", text(orelse, names))), _CONDITIONAL
+            parts = [_within(then, names, _OR), joined("if ", _within(condition, names, _OR))]
+            return alternatives(parts, text(orelse, names), isinstance(orelse, ir.Conditional)), _CONDITIONAL
         case ir.Quantified(kind, name, over, body):
             if names.formulas:
                 return _quantified(node, names), _ATOM

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 WIDTH = 100  # columns of a generated line, where the parts of an expression allow it
 STEP = "    "
+_DEEPEST = 12  # steps that brackets are broken into: Python reads no more than 200 nested ones, and each may add one
 
 
 class _Code(str):
@@ -77,6 +78,13 @@ def longer(first: str, last: str) -> str:
     return chain(*first.parts, last) if isinstance(first, _Chain) else chain(first, last)
 
 
+def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
+    """Return `a if b else c` of the parts `a` and `if b`. `more`: what is otherwise is such an expression, too."""
+    if more and isinstance(otherwise, _Chain):
+        return chain(*parts, joined("else ", otherwise.parts[0]), *otherwise.parts[1:])
+    return chain(*parts, joined("else ", otherwise))
+
+
 def joined(*parts: str) -> str:
     """Return parts that follow each other without spaces."""
     text = "".join(parts)
@@ -130,6 +138,10 @@ def _put(lines: list[str], code: str, indent: int, tail: int, bare: bool) -> Non
 
 def _put_brackets(lines: list[str], code: str, indent: int) -> None:
     assert isinstance(code, _Brackets)
+    statement = len(lines[0]) - len(lines[0].lstrip())
+    if indent - statement >= _DEEPEST * len(STEP):
+        lines[-1] += code
+        return
     opening, *items, closing = code.parts
     lines[-1] += opening
     deeper = indent + len(STEP)

@@ -97,7 +97,7 @@ def _each_turn(condition: Expr, names: Names) -> str:
     """The condition of a `while`, which takes a turn where it holds."""
     turn = f"{names.use('turn')}()"
     forever = isinstance(condition, Const) and condition.value is True
-    return turn if forever else chain(expr.operand_of_and(condition, names), f"and {turn}")
+    return turn if forever else expr.and_also(condition, f"and {turn}", names)
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from koordgen.build.emit import layout
 from koordgen.build.emit.layout import WIDTH, Page, brackets, chain, display, joined
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
@@ -233,3 +234,45 @@ def test_what_a_program_without_properties_measures_is_what_its_text_would_say()
     said: Properties = _module("properties", properties_text(program, {"Own"})).PROPERTIES
     assert said == without_properties(module.PROGRAM, {"Own"})
     assert said.measured == ("Motion.position", "Arm.pose")
+
+
+class Flat(ast.NodeTransformer):
+    """Makes one node of `(a and b) and c` and of `a and b and c`, which mean the same."""
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.BoolOp:
+        self.generic_visit(node)
+        inner = [v.values if isinstance(v, ast.BoolOp) and type(v.op) is type(node.op) else [v] for v in node.values]
+        return ast.BoolOp(node.op, [value for values in inner for value in values])
+
+
+def tree(text: str) -> str:
+    """The module as Python reads it, but for the line map."""
+    module = Flat().visit(ast.parse(text))
+    module.body = [s for s in module.body if not (isinstance(s, ast.AnnAssign) and ast.unparse(s.target) == "LINES")]
+    return ast.dump(module)
+
+
+@pytest.mark.parametrize("width", [30, 60])
+def test_a_text_means_the_same_however_wide_it_is(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    programs = [*map(example, ALL), *map(random_program, range(40))]
+    texts = [emit(program) for program in programs for emit in (program_text, properties_text)]
+    monkeypatch.setattr(layout, "WIDTH", width)
+    narrow = [emit(program) for program in programs for emit in (program_text, properties_text)]
+    assert sum(a != b for a, b in zip(texts, narrow, strict=True)) > 60
+    for text, other in zip(texts, narrow, strict=True):
+        assert tree(text) == tree(other)
+
+
+@pytest.mark.parametrize("part", ["n * (2 + {})", "len([{}])", "(1 if n > {} else 2)", "abs({} + 1)"])
+def test_deep_expressions_are_not_broken_further(part: str) -> None:
+    deep = "n"
+    for _ in range(40):
+        deep = part.format(deep)
+    text = program_text(checked(f"local: int n\nE:\n  pre: True\n  eff: n = {deep}\n"))
+    assert max(len(line) - len(line.lstrip()) for line in text.split("\n")) <= 4 * 14
+
+
+def test_alternatives_stand_one_below_the_other() -> None:
+    many = "".join(f"{i} if n == {10**9 + i} else " for i in range(9))
+    text = program_text(checked(f"local: int n\nE:\n  pre: True\n  eff: n = {many}n\n"))
+    assert "        0\n        if s.local_n.value == 1000000000\n        else 1\n        if" in text
