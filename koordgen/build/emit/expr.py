@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from koordgen.build.emit import size
 from koordgen.build.emit.alone import tells_of_itself
-from koordgen.build.emit.floats import ANY, kind
+from koordgen.build.emit.floats import ANY, is_nonzero_literal, kind
 from koordgen.build.emit.layout import alternatives, brackets, chain, display, joined, longer
 from koordgen.build.emit.names import Names
 from koordgen.lang.diagnostics import InternalError
@@ -145,9 +145,9 @@ def change(node: ir.Expr, names: Names) -> str:
 
 def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
     """Note an operator that the head of the module explains."""
-    if node.type == INT and node.op in ("+", "-", "*"):
+    if node.type == INT and node.op in ("+", "-", "*") and not size.is_small(node):
         names.use("+")
-    if node.op in ("/", "//", "%"):
+    if node.op in ("//", "%") or (node.op == "/" and not is_nonzero_literal(node.right)):
         names.use(node.op)
 
 

@@ -49,7 +49,7 @@ _SORTED = ("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key",
 _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("+",), "a + b", "of ints has no overflow; more than 64 bits in a variable discard the event"),
     (("//", "%"), "a // b, a % b", "round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1"),
-    (("/",), "a / b", "is a float, of two ints, too; b == 0 discards the event"),
+    (("/",), "a / b", "of ints is a float; b == 0 discards the event"),
     (("[]",), "xs[i]", "never counts from the end: the compiler has shown that 0 <= i < len(xs)"),
     (("at", "first", "last"), "at(xs, i)", "is xs[i]; an i below 0 or beyond the end discards the event"),
     (("slice_", "part"), "slice_(xs, a, b)", "is xs[a:b]; an a or b below 0 discards the event"),

@@ -36,7 +36,7 @@ from koordgen.runtime.values.turns import looked, looked_in, made, minus, plus, 
 # Python and Koord do the same here. Where that is not plain to see:
 #   a + b             of ints has no overflow; more than 64 bits in a variable discard the event
 #   a // b, a % b     round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1
-#   a / b             is a float, of two ints, too; b == 0 discards the event
+#   a / b             of ints is a float; b == 0 discards the event
 #   at(xs, i)         is xs[i]; an i below 0 or beyond the end discards the event
 #   power(a, b)       is a ** b, of two ints an int; then b < 0 discards the event
 #   plus(a, b)        is a + b; more than 4096 bits discard the event

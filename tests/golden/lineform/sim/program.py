@@ -13,10 +13,6 @@ from koordgen.runtime.program.program import (
 from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.values.points import Point
 
-# Python and Koord do the same here. Where that is not plain to see:
-#   a + b             of ints has no overflow; more than 64 bits in a variable discard the event
-#   a / b             is a float, of two ints, too; b == 0 discards the event
-
 
 class State(Transaction):
     """What one event of lineform sees on one robot, and what it has written so far."""
@@ -44,7 +40,7 @@ def effect_target_update(s: State) -> None:
 
 
 # Line of this file: line of lineform.koord.
-LINES: dict[int, int] = {32: 10, 37: 13, 42: 15, 43: 16}
+LINES: dict[int, int] = {28: 10, 33: 13, 38: 15, 39: 16}
 
 PROGRAM = Program(
     name="lineform",
