@@ -39,11 +39,11 @@ def fleet_of(target: str, size: int = 2) -> Fleet:
 
 
 @cache
-def build(target: str) -> dict[str, Files]:
-    """LineForm's bundles for a fleet of two of this target."""
-    program = check_file(str(LINEFORM)).program
+def build(target: str, source: Path = LINEFORM) -> dict[str, Files]:
+    """A program's bundles for a fleet of two of this target."""
+    program = check_file(str(source)).program
     ingredients = read_ingredients(
-        program, LINEFORM.read_bytes(), (manifest.load(target),), fleet_of(target), resources.package()
+        program, source.read_bytes(), (manifest.load(target),), fleet_of(target), resources.package()
     )
     return plan(ingredients, [target])
 

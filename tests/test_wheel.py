@@ -48,7 +48,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {
-        "koordgen/_data/templates/program.py.j2",
+        "koordgen/_data/templates/main_agent.py.j2",
         "koordgen/_data/targets/quad/manifest.toml",
         "koordgen/_data/targets/quad/platform/platform.py",
         "koordgen/_data/targets/car/control/solver/mpc.c",

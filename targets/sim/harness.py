@@ -312,7 +312,7 @@ def _following(
     from targets.sim.judging import watch
     from targets.sim.run.run import Run
 
-    properties = watch.load(root)
+    properties = watch.load(root, [served for served, _, _ in scenario.drivers])
     watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
     shutil.copytree(root / SOURCE, folder / SOURCE)
     guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
@@ -333,7 +333,7 @@ def _made(
     from targets.sim.run.run import Run
 
     robots = tuple(robot.name for robot in scenario.robots)
-    properties = watch.load(root)
+    properties = watch.load(root, [served for served, _, _ in scenario.drivers])
     windows = Windows(properties, scenario, options.seed) if options.windows else None
     watcher = watch.Watcher(properties, robots, scenario.delta, windows)
     shutil.copytree(root / SOURCE, folder / SOURCE)

@@ -17,6 +17,7 @@ from koordgen.runtime.program import metered
 from koordgen.runtime.values import containers, turns
 from tests.agree.both import Generated, Meant, agree
 from tests.agree.programs import N_SYS
+from tests.build.emit.generated import in_one_line
 from tests.lang.semantics.programs import compiled
 
 TURNS, ELEMENTS, A_TURN, BITS, SMALL, CELLS, PAIRS = 12, 5, 2, 12, 3, 2, 2
@@ -211,7 +212,7 @@ E:
     k = k + sum(many)
     k = k + grown.count(3)
 """
-    shown = program_text(compiled(text))
+    shown = in_one_line(program_text(compiled(text)))
     assert "few.value == (1, 2) and 3 in s.local_few.value" in shown
     assert "sum(s.local_few.value)" in shown
     assert "sum(s.shared_x.all)" in shown

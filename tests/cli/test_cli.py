@@ -264,9 +264,9 @@ def test_params_go_into_the_program_and_its_hash(tmp_path: Path, capsys: pytest.
         given = ["--param", f"margin={value}", "--param", "laps=-4", "--param", "home=1,2,-3"]
         assert main(["build", str(path), "--target", "quad", "-o", str(out), *given]) == 0
         texts.append((out / "a/quad/program.py").read_text())
-    assert "PARAM_MARGIN: float = 0.8  # a.koord:1" in texts[1]
-    assert "PARAM_LAPS: int = -4  # a.koord:2" in texts[1]
-    assert "PARAM_HOME: Point = Point(1.0, 2.0, -3.0)  # a.koord:3" in texts[1]
+    assert "PARAM_MARGIN: float = 0.8  # line 1" in texts[1]
+    assert "PARAM_LAPS: int = -4  # line 2" in texts[1]
+    assert "PARAM_HOME: Point = Point(1.0, 2.0, -3.0)  # line 3" in texts[1]
     hashes = [next(line for line in text.splitlines() if "program_hash=" in line) for text in texts]
     assert hashes[0] != hashes[1]
 

@@ -19,7 +19,7 @@ from koordgen.lang.ir.types import GENERIC, NAMED
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.ops.findings import OWN
 from koordgen.runtime.vehicle.platform import Platform
-from tests.programs import build, settings_of
+from tests.programs import ROOT, build, settings_of
 
 TARGETS = [manifest.load(name) for name in manifest.available()]
 AGENTS = [t for t in TARGETS if t.kind == "agent"]
@@ -168,8 +168,16 @@ def test_robots_limit_is_the_wires() -> None:
 
 
 @agents_by_name
-def test_its_robots_take_their_properties_along_and_can_do_what_the_manifest_says(target: manifest.Target) -> None:
+def test_a_program_without_properties_has_no_file_for_them(target: manifest.Target) -> None:
     files = build(target.name)[f"{target.name}-0"]
+    assert "properties.py" not in files
+    assert b"properties" not in files["__main__.py"].lower() and b"drivers))" in files["__main__.py"]
+
+
+@agents_by_name
+def test_its_robots_take_their_properties_along_and_can_do_what_the_manifest_says(target: manifest.Target) -> None:
+    files = build(target.name, ROOT / "templates/new/program.koord")[f"{target.name}-0"]
     assert b"PROPERTIES = Properties(" in files["properties.py"]
+    assert b"from properties import PROPERTIES" in files["__main__.py"]
     assert b"drivers, PROPERTIES))" in files["__main__.py"]
     assert {"hold", "stop"} <= set(target.actions) <= {"hold", "stop", "land"}

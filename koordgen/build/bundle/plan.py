@@ -13,7 +13,7 @@ from koordgen import __version__
 from koordgen.build.bundle.calls import planner_budget
 from koordgen.build.bundle.write import SUMS, sums
 from koordgen.build.emit.program import functions_module, interface_hash, program_hash, program_text
-from koordgen.build.emit.property import properties_text
+from koordgen.build.emit.property import has_properties, properties_text
 from koordgen.build.emit.render import render
 from koordgen.fleet.manifest import Target
 from koordgen.lang.ir.decl import Program
@@ -86,9 +86,11 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         **these.common,
         **these.target_files[target.name],
         **these.beside,
-        "__main__.py": render("main_agent.py", module=module, name=name, drivers=_drivers(these)).encode(),
+        "__main__.py": render(
+            "main_agent.py", module=module, name=name, drivers=_drivers(these), properties=has_properties(program)
+        ).encode(),
         "program.py": text,
-        "properties.py": _properties(these),
+        **_properties(these),
         program.path: these.source,
         PARAMS: _json(dict(these.params)),
         "requirements.txt": _requirements(fleet, target),
@@ -112,8 +114,11 @@ def _functions(these: Ingredients) -> bytes:
     return these.beside.get(f"{functions_module(these.program)}.py", b"")
 
 
-def _properties(these: Ingredients) -> bytes:
-    return properties_text(these.program, these.fleet.drivers if these.fleet else ()).encode()
+def _properties(these: Ingredients) -> Files:
+    """The file of the program's properties, if it has any."""
+    if not has_properties(these.program):
+        return {}
+    return {"properties.py": properties_text(these.program, these.fleet.drivers if these.fleet else ()).encode()}
 
 
 def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
@@ -134,7 +139,7 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
         **{path: data for path, data in these.beside.items() if path == functions},
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "program.py": text,
-        "properties.py": _properties(these),
+        **_properties(these),
         f"{SOURCE}/{program.path}": these.source,
         f"{SOURCE}/{PARAMS}": _json(dict(these.params)),
         **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},

@@ -1,16 +1,21 @@
-"""IR expressions -> Python text, with no more parentheses than Python needs."""
+"""IR expressions -> Python text, with no more parentheses than Python needs.
+
+Each name that is taken from the library or the program is noted (`Names.use`), and each operator that the head of the
+module explains.
+"""
 
 from __future__ import annotations
 
 from koordgen.build.emit import size
 from koordgen.build.emit.alone import tells_of_itself
-from koordgen.build.emit.floats import ANY, kind
+from koordgen.build.emit.floats import ANY, is_nonzero_literal, kind
+from koordgen.build.emit.layout import alternatives, brackets, chain, display, joined, longer
 from koordgen.build.emit.names import Names
-from koordgen.build.emit.types import display
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import (
     FLOAT,
+    INT,
     POINT,
     STRING,
     ExternType,
@@ -39,24 +44,31 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
-def operand_of_and(node: ir.Expr, names: Names) -> str:
-    """The Python expression for `node` as an operand of `and`."""
-    return _within(node, names, _AND)
+def and_also(node: ir.Expr, last: str, names: Names) -> str:
+    """The Python expression for `node` with one more operand of `and` behind."""
+    shown, strength = _text(node, names)
+    if strength == _AND:
+        return longer(shown, last)
+    return chain(shown if strength > _AND else brackets("(", [shown], ")"), last)
 
 
 def domain(node: ir.Expr, names: Names) -> str:
     """What a loop over `node` runs over in Python: of a Map its keys."""
     match node:
         case ir.Range(ir.Const(0), stop, 1):
-            return f"range({text(stop, names)})"
+            return _call_of("range", text(stop, names))
         case ir.Range(start, stop, step):
-            last = "" if step == 1 else f", {step}"
-            return f"range({text(start, names)}, {text(stop, names)}{last})"
+            last = () if step == 1 else (str(step),)
+            return _call_of("range", text(start, names), text(stop, names), *last)
         case ir.Ids():
             return "range(s.n_sys)"
         case _:
             shown = text(node, names)
-            return f"keys({shown})" if isinstance(node.type, MapOf) else shown
+            return _call_of(names.use("keys"), shown) if isinstance(node.type, MapOf) else shown
+
+
+def _call_of(function: str, *args: str) -> str:
+    return brackets(f"{function}(", args, ")")
 
 
 def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
@@ -70,55 +82,88 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
         case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # -0 is 0, and no -0.0
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
-            return f"float({text(operand, names)})", _ATOM
+            return _call_of("float", text(operand, names)), _ATOM
         case ir.Unary("not", ir.Contains(item, values)) if not isinstance(values.type, MapOf):
-            return f"{_compared(item, names)} not in {_compared(values, names)}", _COMPARE
+            return _infix(_compared(item, names), "not in", _compared(values, names)), _COMPARE
         case ir.Unary(op, operand):
             if op == "not":
-                return f"not {_within(operand, names, _NOT)}", _NOT
-            return f"-{_within(operand, names, _SIGN)}", _SIGN
+                return joined("not ", _within(operand, names, _NOT)), _NOT
+            return joined("-", _within(operand, names, _SIGN)), _SIGN
         case ir.Binary("**", left, right):
-            return f"power({text(left, names)}, {text(right, names)})", _ATOM
-        case ir.Binary(op, left, right) if looks := size.checked(node):
-            if looks == "made":
-                return f"made({_within(left, names, _SUM)} {op} {_within(right, names, _PRODUCT)})", _ATOM
-            return f"{looks}({text(left, names)}, {text(right, names)})", _ATOM
+            return _call_of(names.use("power"), text(left, names), text(right, names)), _ATOM
+        case ir.Binary() if size.checked(node):
+            return _checked(node, names), _ATOM
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
-            return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
+            _explain(node, names)
+            shown, strength = _text(left, names)
+            last = joined(f"{op} ", _within(right, names, own + 1))
+            if strength == own:
+                return longer(shown, last), own
+            return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
         case ir.Compare(op, left, right) if left.type == STRING:  # as fast as a turn, however long they are
-            return f"{_within(left, names, _SUM)} {op} {_within(right, names, _SUM)}", _COMPARE
+            return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
-            return f"{_compared(left, names)} {op} {_compared(right, names)}", _COMPARE
+            return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE
         case ir.Contains(item, values):
             if isinstance(values.type, MapOf):
-                return f"has_key({text(values, names)}, {text(item, names)})", _ATOM
-            return f"{_compared(item, names)} in {_compared(values, names)}", _COMPARE
+                return _call_of(names.use("has_key"), text(values, names), text(item, names)), _ATOM
+            return _infix(_compared(item, names), "in", _compared(values, names)), _COMPARE
         case ir.Conditional(condition, then, orelse):
-            shown = f"{_within(then, names, _OR)} if {_within(condition, names, _OR)} else {text(orelse, names)}"
-            return shown, _CONDITIONAL
+            parts = [_within(then, names, _OR), joined("if ", _within(condition, names, _OR))]
+            return alternatives(parts, text(orelse, names), isinstance(orelse, ir.Conditional)), _CONDITIONAL
         case ir.Quantified(kind, name, over, body):
             if names.formulas:
                 return _quantified(node, names), _ATOM
-            every = "all" if kind == "forall" else "any"
-            return f"{every}({text(body, names)} for {names.temp(name)} in {_counted(over, names)})", _ATOM
+            each = joined(f"for {names.temp(name)} in ", _counted(over, names))
+            return _call_of("all" if kind == "forall" else "any", chain(text(body, names), each)), _ATOM
         case _:
             return _atom(node, names), _ATOM
+
+
+def _infix(left: str, op: str, right: str) -> str:
+    return joined(left, f" {op} ", right)
+
+
+def _checked(node: ir.Binary, names: Names) -> str:
+    """An operation whose size the runtime looks at."""
+    looks = names.use(size.checked(node))
+    if looks == "made":
+        last = joined(f"{node.op} ", _within(node.right, names, _PRODUCT))
+        return _call_of(looks, chain(_within(node.left, names, _SUM), last))
+    return _call_of(looks, text(node.left, names), text(node.right, names))
+
+
+def change(node: ir.Expr, names: Names) -> str:
+    """Return ` += value` and the like for an operation that Python's operator alone carries out; empty for others. It
+    does the same as the operation assigned to its left operand: no value is changed in place."""
+    if not isinstance(node, ir.Binary) or node.op == "**" or size.checked(node):
+        return ""
+    _explain(node, names)
+    return joined(f" {node.op}= ", text(node.right, names))
+
+
+def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
+    """Note an operator that the head of the module explains."""
+    if node.type == INT and node.op in ("+", "-", "*") and not size.is_small(node):
+        names.use("+")
+    if node.op in ("//", "%") or (node.op == "/" and not is_nonzero_literal(node.right)):
+        names.use(node.op)
 
 
 def _quantified(node: ir.Quantified, names: Names) -> str:
     """Of what is known of a fleet, which may leave the truth open, and tells what made it false."""
     every = "every" if node.kind == "forall" else "some"
-    others = "" if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ", robots=False"
-    body = f"lambda {names.temp(node.name)}: {text(node.body, names)}"
+    others = () if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ("robots=False",)
+    body = joined(f"lambda {names.temp(node.name)}: ", text(node.body, names))
     if tells_of_itself(node):
-        return f"s.own({literal(node.name)}, {body})"
-    return f"s.{every}({literal(node.name)}, {_counted(node.domain, names)}, {body}{others})"
+        return _call_of("s.own", literal(node.name), body)
+    return _call_of(f"s.{every}", literal(node.name), _counted(node.domain, names), body, *others)
 
 
 def _counted(over: ir.Expr, names: Names) -> str:
     """The domain of a quantifier: each of its values costs a turn, unless they are the robots."""
-    return domain(over, names) if isinstance(over, ir.Ids) else f"turns({domain(over, names)})"
+    return domain(over, names) if isinstance(over, ir.Ids) else _call_of(names.use("turns"), domain(over, names))
 
 
 def _names_a_robot(name: str, body: ir.Expr) -> bool:
@@ -137,14 +182,15 @@ def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
     """An operand of a comparison: a value that may have NaN in it goes through a function that raises for one. Of a
     region, the values that it is made of do. A large one takes turns."""
     if kind(node, names.floats) == ANY:
-        return f"{'no_nan' if node.type == FLOAT else 'no_nan_in'}({_searched(node, names, _CONDITIONAL)})"
+        looks = names.use("no_nan" if node.type == FLOAT else "no_nan_in")
+        return _call_of(looks, _searched(node, names, _CONDITIONAL))
     return _searched(node, names, least)
 
 
 def _searched(node: ir.Expr, names: Names, least: int) -> str:
     """A value that is gone through: one that may have many elements takes turns."""
     looks = size.looks(node, names.floats)
-    return f"{looks}({text(node, names)})" if looks else _within(node, names, least)
+    return _call_of(names.use(looks), text(node, names)) if looks else _within(node, names, least)
 
 
 def literal(value: int | float | bool | str) -> str:
@@ -164,13 +210,13 @@ def _atom(node: ir.Expr, names: Names) -> str:
         case ir.Ids():
             return "tuple(range(s.n_sys))"
         case ir.ParamRead(name):
-            return names.params[name]
+            return names.use(names.params[name])
         case ir.LocalRead(name):
             return f"s.{names.locals[name]}.value"
         case ir.TempRead(name):
             return names.temp(name)
         case ir.SlotRead(name, index):
-            return f"s.{names.shared[name]}[{text(index, names)}]"
+            return brackets(f"s.{names.shared[name]}[", [text(index, names)], "]")
         case ir.SlotsRead(name):
             return f"s.{names.shared[name]}.all"
         case ir.SharedRead(name):
@@ -179,9 +225,9 @@ def _atom(node: ir.Expr, names: Names) -> str:
             read = f"s.{names.after if primed else names.before}{names.ports[module, port]}"
             return read if (module, port) in names.sensors else f"{read}.value"
         case ir.LocalOf(name, robot):
-            return f"s.{names.locals[name]}[{text(robot, names)}]"
+            return brackets(f"s.{names.locals[name]}[", [text(robot, names)], "]")
         case ir.PortOf(module, port, robot):
-            return f"s.{names.ports[module, port]}[{text(robot, names)}]"
+            return brackets(f"s.{names.ports[module, port]}[", [text(robot, names)], "]")
         case _:
             return _part(node, names)
 
@@ -193,18 +239,20 @@ def _part(node: ir.Expr, names: Names) -> str:
         case ir.Field(operand, name):
             owner = operand.type
             field = names.fields[owner.name][name] if isinstance(owner, RecordType) else name
-            return f"{_within(operand, names, _ATOM)}.{field}"
+            return joined(_within(operand, names, _ATOM), f".{field}")
         case ir.Item(operand, index):
-            return f"{_within(operand, names, _ATOM)}[{index}]"
+            return joined(_within(operand, names, _ATOM), f"[{index}]")
         case ir.At(operand, index, proved):
             if proved:
-                return f"{_within(operand, names, _ATOM)}[{text(index, names)}]"
-            return f"at({text(operand, names)}, {text(index, names)})"
+                names.use("[]")
+                return joined(_within(operand, names, _ATOM), brackets("[", [text(index, names)], "]"))
+            return _call_of(names.use("at"), text(operand, names), text(index, names))
         case ir.Slice(operand, start, stop, proved):
             a, b = (None if bound is None else text(bound, names) for bound in (start, stop))
             if proved:
-                return f"made({_within(operand, names, _ATOM)}[{a or ''}:{b or ''}])"
-            return f"{'part' if operand.type == STRING else 'slice_'}({text(operand, names)}, {a}, {b})"
+                return _call_of(names.use("made"), joined(_within(operand, names, _ATOM), f"[{a or ''}:{b or ''}]"))
+            part = names.use("part" if operand.type == STRING else "slice_")
+            return _call_of(part, text(operand, names), a or "None", b or "None")
         case ir.With(operand, name, value):
             return _with(operand, name, text(value, names), names)
         case _:
@@ -216,32 +264,32 @@ def _call(node: ir.Expr, names: Names) -> str:
         case ir.Builtin(name, args):
             return _builtin(name, args, names)
         case ir.Call(name, args):
-            return f"{names.functions[name]}({_args(args, names)})"
+            return _call_of(names.use(names.functions[name]), *_args(args, names))
         case ir.ExternCall(name, args):
-            return f"{names.externs[name]}({_args(args, names)})"
+            return _call_of(names.use(names.externs[name]), *_args(args, names))
         case ir.PortCall(module, port, args):
-            return f"s.{names.ports[module, port]}({_args(args, names)})"
+            return _call_of(f"s.{names.ports[module, port]}", *_args(args, names))
         case _:  # a Range that nothing runs over
             raise InternalError(f"a {type(node).__name__} has no place in an event")
 
 
-def _args(args: tuple[ir.Expr, ...], names: Names) -> str:
-    return ", ".join([text(arg, names) for arg in args])
+def _args(args: tuple[ir.Expr, ...], names: Names) -> list[str]:
+    return [text(arg, names) for arg in args]
 
 
 def _make(items: tuple[ir.Expr, ...], type_: Type, names: Names) -> str:
     parts = [text(item, names) for item in items]
     match type_:
         case RecordType(name):
-            return f"{names.records[name]}({', '.join(parts)})"
+            return _call_of(names.use(names.records[name]), *parts)
         case ExternType():
-            return "Opaque()"
+            return f"{names.use('Opaque')}()"
         case Sized(name):
-            return f"{name}()"
+            return f"{names.use(name)}()"
         case Sequence("Set") if parts:
-            return f"set_of({display(parts)})"
+            return _call_of(names.use("set_of"), display(parts))
         case MapOf() if parts:
-            return f"map_of({display(parts)})"
+            return _call_of(names.use("map_of"), display(parts))
         case _:
             return display(parts)
 
@@ -249,10 +297,11 @@ def _make(items: tuple[ir.Expr, ...], type_: Type, names: Names) -> str:
 def _with(operand: ir.Expr, name: str, value: str, names: Names) -> str:
     match operand.type:
         case RecordType(record):
-            return f"replace({text(operand, names)}, {names.fields[record][name]}={value})"
+            field = joined(f"{names.fields[record][name]}=", value)
+            return _call_of(names.use("replace"), text(operand, names), field)
         case TupleOf(items):
             whole = _within(operand, names, _ATOM)
-            return display([value if i == int(name) else f"{whole}[{i}]" for i in range(len(items))])
+            return display([value if i == int(name) else joined(whole, f"[{i}]") for i in range(len(items))])
         case other:
             raise InternalError(f"a {other} with {name}")
 
@@ -264,31 +313,32 @@ def _argument(arg: ir.Expr, name: str, names: Names) -> str:
 
 
 def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
-    given = ", ".join([_argument(arg, name, names) for arg in args])
-    match name:
-        case "cleared" if isinstance(args[0], (ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead)):
+    if name == "cleared":
+        if isinstance(args[0], (ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead)):
             return "()"
-        case "cleared":  # `m[k].clear()`: there may be no such key
-            return f"{_within(args[0], names, _ATOM)}[:0]"
+        return joined(_within(args[0], names, _ATOM), "[:0]")  # `m[k].clear()`: there may be no such key
+    if name == "count":
+        counted, item = _compared(args[0], names, _ATOM), _compared(args[1], names, _CONDITIONAL)
+        return joined(counted, _call_of(".count", item))
+    given = [_argument(arg, name, names) for arg in args]
+    match name:
         case "items":  # a map is its pairs
-            return given
-        case "sorted":
-            return f"made(tuple(sorted({given})))"
-        case "reversed":
-            return f"made(tuple(reversed({given})))"
-        case "count":
-            xs, item = args
-            return f"{_compared(xs, names, _ATOM)}.count({_compared(item, names, _CONDITIONAL)})"
+            return given[0]
+        case "sorted" | "reversed":
+            return _call_of(names.use("made"), _call_of("tuple", _call_of(name, *given)))
         case "sum" if isinstance(args[0].type, Sequence) and args[0].type.element == FLOAT:
-            return f"total({given})"
+            return _call_of(names.use("total"), *given)
         case "sum":
-            return f"checked(sum({given}))"
+            return _call_of(names.use("checked"), _call_of("sum", *given))
         case "str" if args[0].type == POINT:
-            return f"shown({given})"
+            return _call_of(names.use("shown"), *given)
+        case "str":
+            names.use("str()")
+            return _call_of(name, *given)
         case _:
-            return f"{_CALLED.get(name, name)}({given})"
+            return _call_of(names.use(_CALLED.get(name, name)), *given)
 
 
 def _within(node: ir.Expr, names: Names, least: int) -> str:
     shown, strength = _text(node, names)
-    return shown if strength >= least else f"({shown})"
+    return shown if strength >= least else brackets("(", [shown], ")")

@@ -107,7 +107,7 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
             return FINITE  # it raises
         case "+" | "-" | "/":
             return _NUMBER_UNLESS_TWICE[first + second]
-        case "*" if first + second == NUMBER and not (_scales(left) or _scales(right)):
+        case "*" if first + second == NUMBER and not (is_nonzero_literal(left) or is_nonzero_literal(right)):
             return ANY  # infinity times zero
         case "*":
             return _NUMBER_UNLESS_TWICE[first + second]
@@ -121,8 +121,8 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
 _NUMBER_UNLESS_TWICE = (NUMBER, NUMBER, ANY, ANY, ANY)
 
 
-def _scales(node: ir.Expr) -> bool:
-    """Return whether a factor is a literal that is not zero."""
+def is_nonzero_literal(node: ir.Expr) -> bool:
+    """Return whether a factor or divisor is a literal that is not zero."""
     node = node.operand if isinstance(node, ir.Widen) else node
     return isinstance(node, ir.Const) and bool(node.value)
 

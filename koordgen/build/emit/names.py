@@ -55,6 +55,8 @@ class Names:
         self.calls = {f.name: self._mint(f"EXTERN_{snake(f.name).upper()}") for f in program.externs}
         self.guards = {e.name: self._mint(f"guard_{snake(e.name)}") for e in program.events}
         self.effects = {e.name: self._mint(f"effect_{snake(e.name)}") for e in program.events}
+        self.bounds: dict[str, str] = {}  # of records, by their text
+        self.used: set[str] = set()
 
     def _mint(self, wanted: str) -> str:
         name = _free(wanted, self._taken)
@@ -77,6 +79,23 @@ class Names:
     def turns(self, name: str) -> str:
         """Mint a name for the range that a loop runs over; `name` is the loop's variable."""
         return self._mint(f"turns_{name}")
+
+    def bound(self, record: str, text: str) -> str:
+        """Mint a name for how much a record may hold. `types.bound` says it instead of the text."""
+        self.bounds[text] = self._mint(f"BOUND_{snake(record).upper()}")
+        return self.bounds[text]
+
+    def use(self, name: str) -> str:
+        """Return a name, and note that the text has it: of the library, of the program, or an operator that the head of
+        the module explains (notes.py)."""
+        self.used.add(name)
+        return name
+
+    def attempt(self) -> Names:
+        """The same names, for text that may be dropped: what it uses is noted apart."""
+        made = copy.copy(self)
+        made.used = set()
+        return made
 
     def within(self, floats: Mapping[Place, int]) -> Names:
         """The same names, for a block whose places may hold such floats."""

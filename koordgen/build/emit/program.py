@@ -1,40 +1,46 @@
-"""A whole IR program -> the text of its `program.py`: the finished strings its template needs, and what it imports."""
+"""A whole IR program -> the text of its `program.py`; its line map and its imports are noted while it is made."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from hashlib import blake2s
-from typing import Any
 
 from koordgen import __version__
 from koordgen.build.emit import expr, floats, library, stmt
+from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, line_map, text
 from koordgen.build.emit.names import Names
-from koordgen.build.emit.render import render
-from koordgen.build.emit.types import annotation, bound, default, display
+from koordgen.build.emit.types import annotation, bound, bound_of_record, default
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir.encoding import encode
 from koordgen.lang.ir.ports import clears, held
 from koordgen.lang.ir.stmt import Block
 from koordgen.lang.ir.types import MapOf, RecordType, TupleOf, Type
 from koordgen.lang.ir.types import Sequence as SequenceOf
+from koordgen.lang.source import Span
 
 # Raised when the meaning of a datagram changes; equals that of koordgen/runtime/net/wire.py (a test compares them).
 WIRE_FORMAT = 4
 
-_MARK = "  # {}:"
-_LINES = "\nLINES: dict[int, int] = {"
+
+_NOTES = "# Python and Koord do the same here. Where that is not plain to see:"
 
 
 def program_text(program: ir.Program, functions: bytes = b"") -> str:
     """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `functions` is
     the user's Python file, if there is one."""
-    values = {**_values(program, Names(program)), "program_hash": program_hash(program, functions)}
-    body = render("program_state.py", **values).strip("\n") + "\n" + render("program.py", **values)
-    text = _head(program, body) + ("\n\n" if body.startswith("class ") else "\n") + body
-    text = text.replace(_LINES, _LINES + _lines(text, program.path), 1)  # a literal has no raw end of line
-    compile(text, "program.py", "exec")
-    return text
+    names = Names(program)
+    body = Page()
+    _add_types(body, program, names)
+    _add_state(body, program, names)
+    _add_functions(body, program, names)
+    _add_events(body, program, names)
+    body.gap()
+    tables = _tables(program, names, program_hash(program, functions))
+    head = _head(program, names)
+    found = text(head, body, line_map(head, body, program.path), tables)
+    compile(found, "program.py", "exec")
+    return found
 
 
 def program_hash(program: ir.Program, functions: bytes = b"") -> str:
@@ -59,64 +65,226 @@ def _digest(data: bytes) -> str:
     return blake2s(data, digest_size=8).hexdigest()
 
 
-def _values(program: ir.Program, names: Names) -> dict[str, Any]:
-    return {
-        "name": program.name,
-        "path": program.path,
-        "name_literal": expr.literal(program.name),
-        "path_literal": expr.literal(program.path),
-        "library": expr.literal(functions_module(program)),
-        "interface_hash": interface_hash(program),
-        "extern_types": [(expr.literal(t.name), names.extern_types[t.name]) for t in program.extern_types],
-        "records": [_record(r, program, names) for r in _ordered(program.records)],
-        "params": [
-            (names.params[p.name], annotation(p.type, names), expr.text(p.default, names), _mark(program, p))
-            for p in program.params
-        ],
-        "externs": [_extern(f, program, names) for f in program.externs],
-        "functions": [_function(f, program, names) for f in program.functions],
-        "locals": [_variable(v, "local", names.locals, program, names) for v in program.locals],
-        "shared": [_variable(v, v.kind, names.shared, program, names) for v in program.shared],
-        "ports": [_port(program, m, p, names) for m in program.modules for p in m.ports],
-        "init": _block(program.init, program, names) if program.init else "",
-        "events": [_event(e, program, names) for e in program.events],
-        "locks": display([display([expr.literal(name) for name in group]) for group in program.locks]),
-    }
+def _place(program: ir.Program, span: Span) -> str:
+    return f"{program.path}:{span.line}"
 
 
-def _mark(program: ir.Program, node: Any) -> str:
-    return f"{program.path}:{node.span.line}"
+def _head(program: ir.Program, names: Names) -> Page:
+    page = Page()
+    page.add(f'"""{program.name}: the Koord program {program.path}, compiled by koordgen {__version__}.')
+    page.gap(1)
+    page.add(f"The comment `# line 12` names a line of {program.path}, which stands beside this file. `s` is what")
+    page.add("an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:")
+    page.add("change the Koord program, not this.")
+    page.add('"""')
+    add_imports(page, library.imports(names.used))
+    add_notes(page, names, _NOTES)
+    return page
 
 
-def _block(statements: Block, program: ir.Program, names: Names, parameters: tuple[str, ...] = ()) -> str:
-    known = names.within(floats.kinds(statements, parameters))
-    return "\n".join(stmt.lines(statements, known, program.path, stmt.STEP))
+def add_imports(page: Page, groups: Iterable[list[str]]) -> None:
+    """Add import lines, behind that of annotations."""
+    for group in (["from __future__ import annotations"], *groups):
+        if group:
+            page.gap(1)
+            page.lines += [(line, 0) for line in group]
 
 
-def _variable(
-    v: ir.Local | ir.Shared, kind: str, attributes: dict[str, str], program: ir.Program, names: Names
-) -> dict[str, str]:
-    return {
-        "name": v.name,
-        "attribute": attributes[v.name],
-        "type": annotation(v.type, names),
-        "bound": bound(v.type, names),
-        "kind": kind,
-        "initial": expr.text(v.initial, names),
-        "mark": _mark(program, v),
-    }
+def add_notes(page: Page, names: Names, heading: str) -> None:
+    """Add what a reader should know of the calls and operators that a module has."""
+    found = library.notes(names.used, heading)
+    if found:
+        page.gap(1)
+        page.lines += [(line, 0) for line in found]
 
 
-def _record(record: ir.Record, program: ir.Program, names: Names) -> dict[str, Any]:
+def _add_types(page: Page, program: ir.Program, names: Names) -> None:
+    """Add extern types, records, params and extern functions."""
+    page.gap(1 if program.extern_types else 0)
+    for t in program.extern_types:
+        opaque = f"{names.use('Annotated')}[{names.use('Opaque')}, {expr.literal(t.name)}]"
+        page.add(f"{names.extern_types[t.name]} = {opaque}")
+    records = _ordered(program.records)
+    for record in records:
+        _add_record(page, record, program, names)
+    if records:
+        page.gap()
+        page.add("# How much a record may hold.")
+    for record in records:
+        bounds = bound_of_record(record.type, names)
+        page.add(joined(f"{names.bound(record.type.name, bounds)} = ", bounds))
+    page.gap(1 if program.params else 0)
+    for p in program.params:
+        declared = joined(f"{names.params[p.name]}: ", annotation(p.type, names))
+        page.add(joined(declared, " = ", expr.text(p.default, names)), line=p.span.line)
+    if program.externs:
+        page.gap(1)
+        library_ = expr.literal(functions_module(program))
+        page.add(f"LIBRARY = {names.use('Library')}({library_})")
+        for function in program.externs:
+            page.add(_extern(function, names))
+
+
+def _add_record(page: Page, record: ir.Record, program: ir.Program, names: Names) -> None:
+    page.gap()
+    settings = "frozen=True, array_like=True, forbid_unknown_fields=True"
+    page.add(f"class {names.records[record.type.name]}({names.use('Struct')}, {settings}):")
+    page.add(f'"""def {record.type.name}, {_place(program, record.span)}"""', STEP)
+    page.gap(1)
     fields = names.fields[record.type.name]
-    return {
-        "name": names.records[record.type.name],
-        "doc": f"def {record.type.name}, {_mark(program, record)}",
-        "fields": [
-            (fields[field], annotation(type_, names), expr.text(value, names))
-            for (field, type_), value in zip(record.type.fields, record.defaults, strict=True)
-        ],
-    }
+    for (field, type_), value in zip(record.type.fields, record.defaults, strict=True):
+        page.add(joined(f"{fields[field]}: ", annotation(type_, names), " = ", expr.text(value, names)), STEP)
+
+
+def _extern(function: ir.ExternFunction, names: Names) -> str:
+    word = str(function.result)
+    article = "an" if word[0] in "aeiouAEIO" else "a"
+    arguments = [
+        "library=LIBRARY",
+        f"name={expr.literal(function.name)}",
+        joined("parameters=", display([bound(p.type, names) for p in function.parameters])),
+        joined("result=", bound(function.result, names)),
+        joined("type=", annotation(function.result, names)),
+        f"wanted={expr.literal(f'{article} {word}')}",
+    ]
+    return brackets(f"{names.calls[function.name]} = {names.use('Extern')}(", arguments, ")")
+
+
+def _add_state(page: Page, program: ir.Program, names: Names) -> None:
+    """Add the class of what an event sees and writes."""
+    page.gap()
+    page.add(f"class State({names.use('Transaction')}):")
+    page.add(f'"""What one event of {program.name} sees on one robot, and what it has written so far."""', STEP)
+    page.gap(1)
+    page.add(f"def __init__(self, frame: {names.use('Frame')}) -> None:", STEP)
+    inner = STEP * 2
+    page.add("super().__init__(frame)", inner)
+    ports = [(m, p) for m in program.modules for p in m.ports]
+    for m, p in ports:
+        type_, name = annotation(p.type, names), expr.literal(f"{m.name}.{p.name}")
+        attribute = f"self.{names.ports[m.name, p.name]}: "
+        if p.direction == "sensor":
+            page.add(joined(attribute, type_, " = ", brackets("frame.sensors[", [name], "]")), inner)
+        elif p.direction == "actuator":
+            page.add(_attribute(attribute, names.use("Cell"), type_, f"self.actuator({name})"), inner)
+    for v in program.shared:
+        attribute, name = f"self.{names.shared[v.name]}: ", expr.literal(v.name)
+        kind, made = ("Slots", "slots") if v.kind == "allread" else ("Cell", "shared")
+        page.add(_attribute(attribute, names.use(kind), annotation(v.type, names), f"self.{made}({name})"), inner)
+    for w in program.locals:
+        attribute, made = f"self.{names.locals[w.name]}: ", f"self.local({expr.literal(w.name)})"
+        page.add(_attribute(attribute, names.use("Cell"), annotation(w.type, names), made), inner)
+    for m, p in ports:
+        if p.direction == "callable":
+            name = expr.literal(f"{m.name}.{p.name}")
+            add_callable(page, names.ports[m.name, p.name], annotation(p.type, names), name, "call", names)
+
+
+def _attribute(name: str, kind: str, type_: str, value: str) -> str:
+    return joined(name, brackets(f"{kind}[", [type_], "]"), f" = {value}")
+
+
+def add_callable(page: Page, method: str, type_: str, port: str, asked: str, names: Names) -> None:
+    """Add the method that a callable port is, by the method of the base class that answers."""
+    names.use("calls")
+    page.gap(1)
+    page.add(joined(f"def {method}(self, *args: {names.use('Any')}) -> ", type_, ":"), STEP)
+    page.add(f'"""A call of {port}{" in the program" if asked == "answer" else ""}."""', STEP * 2)
+    page.add(joined("found: ", type_, f" = self.{asked}({port}, args)"), STEP * 2)
+    page.add("return found", STEP * 2)
+
+
+def _add_functions(page: Page, program: ir.Program, names: Names) -> None:
+    for x in program.externs:
+        _add_signature(page, names.externs[x.name], x, names)
+        page.add(f'"""extern fun {x.name}, {_place(program, x.span)}"""', STEP)
+        call = names.calls[x.name]
+        for formula in x.requires:
+            page.add(brackets(f"{call}.require(", [expr.text(formula, names), str(formula.span.line)], ")"), STEP)
+        args = [names.temp(p.name) for p in x.parameters]
+        page.add(joined("my_result: ", annotation(x.result, names), " = ", brackets(f"{call}(", args, ")")), STEP)
+        for formula in x.ensures:
+            held = [expr.text(formula, names), str(formula.span.line), "my_result"]
+            page.add(brackets(f"{call}.ensure(", held, ")"), STEP)
+        page.add("return my_result", STEP)
+    for f in program.functions:
+        _add_signature(page, names.functions[f.name], f, names)
+        page.add(f'"""fun {f.name}, {_place(program, f.span)}"""', STEP)
+        page.add(f"{names.use('turn')}()", STEP, f.span.line)
+        _add_block(page, f.block, names, tuple([p.name for p in f.parameters]))
+
+
+def _add_signature(page: Page, name: str, function: ir.Function | ir.ExternFunction, names: Names) -> None:
+    names.use("calls")
+    parameters = [joined(f"{names.temp(p.name)}: ", annotation(p.type, names)) for p in function.parameters]
+    page.gap()
+    page.add(joined(brackets(f"def {name}(", parameters, ")"), " -> ", annotation(function.result, names), ":"))
+
+
+def _add_block(page: Page, block: Block, names: Names, parameters: tuple[str, ...] = ()) -> None:
+    stmt.add_block(page, block, names.within(floats.kinds(block, parameters)), STEP)
+
+
+def _add_events(page: Page, program: ir.Program, names: Names) -> None:
+    if program.init:
+        page.gap()
+        page.add("def init(s: State) -> None:")
+        _add_block(page, program.init, names)
+    for e in program.events:
+        page.gap()
+        page.add(f"def {names.guards[e.name]}(s: State) -> bool:")
+        page.add(f'"""pre of {e.name}, {_place(program, e.span)}"""', STEP)
+        page.add(joined("return ", expr.text(e.guard, names)), STEP, e.guard.span.line)
+        page.gap()
+        page.add(f"def {names.effects[e.name]}(s: State) -> None:")
+        page.add(f'"""eff of {e.name}, {_place(program, e.span)}"""', STEP)
+        _add_block(page, e.effect, names)
+
+
+def _tables(program: ir.Program, names: Names, hashed: str) -> Page:
+    page = Page()
+    page.gap(1)
+    page.add(f"PROGRAM = {names.use('Program')}(")
+    page.add(f"name={expr.literal(program.name)},", STEP)
+    page.add(f"source={expr.literal(program.path)},", STEP)
+    page.add(f'program_hash="{hashed}",', STEP)
+    page.add(f'interface_hash="{interface_hash(program)}",', STEP)
+    add_table(page, "locals", [(_variable(v, "local", names), v.span.line) for v in program.locals])
+    add_table(page, "shared", [(_variable(v, v.kind, names), v.span.line) for v in program.shared])
+    add_table(page, "ports", [(_port(program, m, p, names), 0) for m in program.modules for p in m.ports])
+    page.add(f"init={'init' if program.init else 'None'},", STEP)
+    add_table(page, "events", [(_event(e, names), 0) for e in program.events])
+    page.add("begin=State,", STEP)
+    page.add("file=__file__,", STEP)
+    page.add("lines=LINES,", STEP)
+    groups = [display([expr.literal(name) for name in group]) for group in program.locks]
+    page.add(joined("locks=", display(groups), ","), STEP)
+    page.add(f"library={'LIBRARY' if program.externs else 'None'},", STEP)
+    page.add(")")
+    return page
+
+
+def add_table(page: Page, name: str, rows: Iterable[tuple[str, int]]) -> None:
+    """Add an argument that is a tuple with a row in each line, with its line of the program."""
+    found = list(rows)
+    if not found:
+        page.add(f"{name}=(),", STEP)
+        return
+    page.add(f"{name}=(", STEP)
+    for row, line in found:
+        page.add(joined(row, ","), STEP * 2, line)
+    page.add("),", STEP)
+
+
+def _variable(v: ir.Local | ir.Shared, kind: str, names: Names) -> str:
+    arguments = [
+        f"name={expr.literal(v.name)}",
+        f'kind="{kind}"',
+        joined("type=", annotation(v.type, names)),
+        joined("bound=", bound(v.type, names)),
+        joined("initial=lambda: ", expr.text(v.initial, names)),
+    ]
+    return brackets(f"{names.use('Variable')}(", arguments, ")")
 
 
 def _ordered(records: Iterable[ir.Record]) -> list[ir.Record]:
@@ -146,83 +314,33 @@ def _ordered(records: Iterable[ir.Record]) -> list[ir.Record]:
     return list(found.values())
 
 
-def _signature(function: ir.Function | ir.ExternFunction, names: Names) -> dict[str, str]:
-    return {
-        "parameters": ", ".join([f"{names.temp(p.name)}: {annotation(p.type, names)}" for p in function.parameters]),
-        "type": annotation(function.result, names),
-    }
-
-
-def _function(function: ir.Function, program: ir.Program, names: Names) -> dict[str, str]:
-    return {
-        "name": names.functions[function.name],
-        "mark": f"{function.name}, {_mark(program, function)}",
-        "body": f"{stmt.STEP}turn(){_MARK.format(program.path)}{function.span.line}\n"
-        + _block(function.block, program, names, tuple([p.name for p in function.parameters])),
-        **_signature(function, names),
-    }
-
-
-def _extern(function: ir.ExternFunction, program: ir.Program, names: Names) -> dict[str, Any]:
-    word = str(function.result)
-    article = "an" if word[0] in "aeiouAEIO" else "a"
-    return {
-        "name": expr.literal(function.name),
-        "function": names.externs[function.name],
-        "call": names.calls[function.name],
-        "args": ", ".join([names.temp(p.name) for p in function.parameters]),
-        "bounds": display([bound(p.type, names) for p in function.parameters]),
-        "bound": bound(function.result, names),
-        "wanted": expr.literal(f"{article} {word}"),
-        "mark": f"{function.name}, {_mark(program, function)}",
-        "requires": [(expr.text(formula, names), formula.span.line) for formula in function.requires],
-        "ensures": [(expr.text(formula, names), formula.span.line) for formula in function.ensures],
-        **_signature(function, names),
-    }
-
-
-def _port(program: ir.Program, module: ir.Module, port: ir.Port, names: Names) -> dict[str, str]:
-    name, rest = f"{module.name}.{port.name}", ", is_position=True" if port.meaning.is_position else ""
+def _port(program: ir.Program, module: ir.Module, port: ir.Port, names: Names) -> str:
+    name = f"{module.name}.{port.name}"
+    arguments = [
+        f"name={expr.literal(name)}",
+        f'direction="{port.direction}"',
+        joined("type=", annotation(port.type, names)),
+    ]
     if port.direction == "actuator":
-        rest = f", {bound(port.type, names)}, lambda: {default(port.type, names)}"
-        if sensor := held(program).get(name):
-            rest += f", held={expr.literal(sensor)}"
-        if cleared := clears(program).get(name):
-            rest += f", clears=({', '.join(map(expr.literal, cleared))},)"
-    return {
-        "name": expr.literal(name),
-        "attribute": names.ports[module.name, port.name],
-        "direction": port.direction,
-        "type": annotation(port.type, names),
-        "rest": rest,
-    }
+        arguments += [
+            joined("bound=", bound(port.type, names)),
+            joined("unset=lambda: ", default(port.type, names)),
+        ]
+    if port.meaning.is_position:
+        arguments.append("is_position=True")
+    if sensor := held(program).get(name):
+        arguments.append(f"held={expr.literal(sensor)}")
+    if cleared := clears(program).get(name):
+        arguments.append(joined("clears=", display([expr.literal(each) for each in cleared])))
+    return brackets(f"{names.use('Port')}(", arguments, ")")
 
 
-def _event(event: ir.Event, program: ir.Program, names: Names) -> dict[str, Any]:
-    return {
-        "name": event.name,
-        "line": event.span.line,
-        "mark": f"{event.name}, {_mark(program, event)}",
-        "guard": names.guards[event.name],
-        "condition": expr.text(event.guard, names) + _MARK.format(program.path) + str(event.guard.span.line),
-        "effect": names.effects[event.name],
-        "body": _block(event.effect, program, names),
-        "lock": "" if event.lock is None else f", {event.lock}",
-    }
-
-
-def _head(program: ir.Program, body: str) -> str:
-    groups: Sequence[list[str]] = [group for group in library.imports(body) if group]
-    return (
-        f'"""{program.name}: the Koord program {program.path}, compiled by koordgen {__version__}.\n\n'
-        f"Every statement names its line in {program.path}, which stands beside this file. The next build writes this\n"
-        'file anew: change the Koord program, not this.\n"""\n\n'
-        "from __future__ import annotations\n\n" + "\n\n".join("\n".join(group) for group in groups) + "\n"
-    )
-
-
-def _lines(text: str, path: str) -> str:
-    """Python line -> Koord line, for every line that ends in a mark; errors on the robot are told by it."""
-    mark = re.compile(re.escape(_MARK.format(path)) + r"(\d+)$")
-    pairs = ((number, mark.search(line)) for number, line in enumerate(text.split("\n"), 1))
-    return ", ".join(f"{number}: {found[1]}" for number, found in pairs if found)
+def _event(event: ir.Event, names: Names) -> str:
+    arguments = [
+        f"name={expr.literal(event.name)}",
+        f"line={event.span.line}",
+        f"guard={names.guards[event.name]}",
+        f"effect={names.effects[event.name]}",
+    ]
+    lock = [] if event.lock is None else [f"lock={event.lock}"]
+    return brackets(f"{names.use('Event')}(", arguments + lock, ")")

@@ -3,23 +3,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Sequence
 
 from koordgen import __version__
 from koordgen.build.emit import expr, library, surely
+from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, text
 from koordgen.build.emit.names import Names, snake
-from koordgen.build.emit.render import render
-from koordgen.build.emit.types import annotation, display
+from koordgen.build.emit.program import add_callable, add_imports, add_notes, add_table
+from koordgen.build.emit.types import annotation
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir import expr as e
-from koordgen.lang.ir.types import POINT, POSE
+from koordgen.lang.ir.types import POINT, POSE, Type
 from koordgen.lang.node import nodes
 
 # Sensors of a body that a harness can measure itself, beside its position, by their types; all others the robot says.
 _MEASURED = {"velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
+_NOTES = "# As in program.py; a formula has no value where it says that the event is discarded:"
 
 
 class _Names(Names):
@@ -37,43 +37,53 @@ class _Names(Names):
         return self._mint(wanted)
 
 
+def has_properties(program: ir.Program) -> bool:
+    """Return whether there is anything that `properties.py` would tell of: else a bundle has none."""
+    return bool(program.properties) or any(m.assumptions for m in program.modules)
+
+
 def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
     """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `driven` are the
     modules that are served by drivers of the user's own."""
     names = _Names(program)
-    body = render("properties.py", **_values(program, names, driven)).strip("\n") + "\n"
-    text = _head(program, names, body) + ("\n\n" if body.startswith(("class ", "def ")) else "\n") + body
-    compile(text, "properties.py", "exec")
-    return text
-
-
-def _values(program: ir.Program, names: _Names, driven: Collection[str]) -> dict[str, Any]:
-    unchecked = [(p, why) for p in program.properties if (why := _unchecked(p, program))]
-    left = [p for p, _ in unchecked]
-    properties = [_property(p, program, names) for p in program.properties if p not in left]
+    page = Page()
     places = [(m, a) for m in program.modules for a in m.assumptions]
+    checked = [p for p in program.properties if not _unchecked(p, program)]
     meant = [(m, a) for m, a in places if not _specs(a.formula, program)]
-    assumptions = [_assumption(m, a, program, names) for m, a in meant]
-    return {
-        "name": program.name,
-        "fleet": _fleet(program, names) if properties else [],
-        "ports": _ports(program, names) if assumptions else [],
-        "callables": _callables(program, names) if assumptions else [],
-        "formulas": [*properties, *assumptions],
-        "properties": properties,
-        "assumptions": assumptions,
-        "unchecked": [_left(p.kind, p.name, p.span.line, why) for p, why in unchecked]
-        + [_left("assume", m.name, a.span.line, _specs(a.formula, program)) for m, a in places if (m, a) not in meant],
-        "measured": _display(
-            [
-                f"{m.name}.{p.name}"
-                for m in program.modules
-                if m.name not in driven
-                for p in m.ports
-                if p.meaning.is_position or (p.direction == "sensor" and _MEASURED.get(p.name) == p.type)
-            ]
-        ),
-    }
+    if checked:
+        _add_fleet(page, program, names)
+    if meant:
+        _add_step(page, program, names)
+    properties = [_property(page, p, program, names) for p in checked]
+    assumptions = [_assumption(page, m, a, program, names) for m, a in meant]
+    left = [
+        _left(p.kind, p.name, p.span.line, why, names) for p in program.properties if (why := _unchecked(p, program))
+    ]
+    left += [_left("assume", m.name, a.span.line, why, names) for m, a in places if (why := _specs(a.formula, program))]
+    page.gap(2 if page.lines else 1)
+    known = names.use("Known")
+    page.add(f"PROPERTIES = {names.use('Properties')}(")
+    page.add(f"program={names.use('PROGRAM')},", STEP)
+    page.add(f"fleet={'Fleet' if checked else known},", STEP)
+    page.add(f"step={'Step' if meant else known},", STEP)
+    add_table(page, "properties", properties)
+    add_table(page, "assumptions", assumptions)
+    add_table(page, "unchecked", left)
+    page.add(joined("measured=", _display(_measured(program, driven)), ","), STEP)
+    page.add(")")
+    found = text(_head(program, names), page)
+    compile(found, "properties.py", "exec")
+    return found
+
+
+def _measured(program: ir.Program, driven: Collection[str]) -> list[str]:
+    return [
+        f"{m.name}.{p.name}"
+        for m in program.modules
+        if m.name not in driven
+        for p in m.ports
+        if p.meaning.is_position or (p.direction == "sensor" and _MEASURED.get(p.name) == p.type)
+    ]
 
 
 def _unchecked(property_: ir.Property, program: ir.Program) -> str:
@@ -89,45 +99,75 @@ def _specs(formula: e.Expr, program: ir.Program) -> str:
     return ""
 
 
-def _left(kind: str, name: str, line: int, why: str) -> dict[str, Any]:
-    return {"kind": kind, "name": expr.literal(name), "line": line, "why": expr.literal(why)}
+def _left(kind: str, name: str, line: int, why: str, names: Names) -> tuple[str, int]:
+    arguments = [f'kind="{kind}"', f"name={expr.literal(name)}", f"line={line}", f"why={expr.literal(why)}"]
+    return brackets(f"{names.use('Unchecked')}(", arguments, ")"), 0
 
 
-def _property(property_: ir.Property, program: ir.Program, names: _Names) -> dict[str, Any]:
+def _property(page: Page, property_: ir.Property, program: ir.Program, names: _Names) -> tuple[str, int]:
+    """Add a property's function. Return its row."""
     own = f"_{snake(property_.name)}" if property_.name else ""
     line = property_.span.line
-    return {
-        "kind": property_.kind,
-        "name": expr.literal(property_.name),
-        "line": line,
-        "function": names.function(f"{property_.kind}{own}"),
-        "parameters": "s: Fleet",
-        "mark": f"{property_.kind}{f' {property_.name}' if property_.name else ''}, {program.path}:{line}",
-        "formula": expr.text(property_.formula, names),
-        "reads": _display(_reads(property_.formula)),
-        "surely": surely.text(property_.formula, names) if property_.kind == "invariant" else "",
-    }
+    function = names.function(f"{property_.kind}{own}")
+    mark = f"{property_.kind}{f' {property_.name}' if property_.name else ''}, {program.path}:{line}"
+    _add_function(page, function, ["s: Fleet"], mark, expr.text(property_.formula, names))
+    enough = surely.text(property_.formula, names) if property_.kind == "invariant" else ""
+    arguments = [
+        f'kind="{property_.kind}"',
+        f"name={expr.literal(property_.name)}",
+        f"line={line}",
+        f"holds={function}",
+        joined("reads=", _display(_reads(property_.formula))),
+        *_surely(page, function, enough, names),
+    ]
+    return brackets(f"{names.use('Property')}(", arguments, ")"), 0
 
 
-def _assumption(module: ir.Module, assumption: ir.Assumption, program: ir.Program, names: _Names) -> dict[str, Any]:
+def _assumption(
+    page: Page, module: ir.Module, assumption: ir.Assumption, program: ir.Program, names: _Names
+) -> tuple[str, int]:
+    """Add an assumption's function. Return its row."""
     line = assumption.span.line
-    goals = [f"{names.temp(name)}: {annotation(type_, names)}" for name, type_ in ir.goals(assumption).items()]
-    return {
-        "module": expr.literal(module.name),
-        "line": line,
-        "function": names.function(f"assume_{snake(module.name)}"),
-        "parameters": ", ".join(["s: Step", *goals]),
-        "mark": f"assume of {module.name}, {program.path}:{line}",
-        "formula": expr.text(assumption.formula, names),
-        "reads": _display(_reads(assumption.formula)),
-        "surely": surely.text_of_each(assumption.formula, names),
-        "goals": display(list(dict.fromkeys([_asking(*found, names) for found in ir.handed(assumption.formula)]))),
-    }
+    goals = [joined(f"{names.temp(g)}: ", annotation(type_, names)) for g, type_ in ir.goals(assumption).items()]
+    function = names.function(f"assume_{snake(module.name)}")
+    mark = f"assume of {module.name}, {program.path}:{line}"
+    _add_function(page, function, ["s: Step", *goals], mark, expr.text(assumption.formula, names))
+    asked = list(dict.fromkeys([_asking(*found, names) for found in ir.handed(assumption.formula)]))
+    arguments = [
+        f"module={expr.literal(module.name)}",
+        f"line={line}",
+        f"holds={function}",
+        joined("reads=", _display(_reads(assumption.formula))),
+        joined("goals=", display(asked)),
+        *_surely(page, function, surely.text_of_each(assumption.formula, names), names),
+    ]
+    return brackets(f"{names.use('Assumption')}(", arguments, ")"), 0
+
+
+def _add_function(page: Page, name: str, parameters: Sequence[str], mark: str, formula: str) -> None:
+    page.gap()
+    page.add(joined(brackets(f"def {name}(", parameters, ")"), " -> bool:"))
+    page.add(f'"""{mark}"""', STEP)
+    page.add(joined("return ", formula), STEP)
+
+
+def _surely(page: Page, function: str, enough: str, names: Names) -> list[str]:
+    """Add the function of a condition that is enough for a formula, if there is one. Return the argument for it."""
+    if not enough:
+        return []
+    page.gap()
+    page.add(f"def surely_{function}(b: {names.use('Any')}) -> Any:")
+    page.add('"""Enough for it, of many moments at once."""', STEP)
+    page.add(joined("return ", enough), STEP)
+    return [f"surely=surely_{function}"]
 
 
 def _asking(call: e.PortCall, goals: dict[int, e.TempRead], names: Names) -> str:
     places = ", ".join([f"{place}: {expr.literal(names.temp(goal.name))}" for place, goal in goals.items()])
-    return f"Asking({expr.literal(f'{call.module}.{call.port}')}, {len(call.args)}, {{{places}}})"
+    port = expr.literal(f"{call.module}.{call.port}")
+    return brackets(
+        f"{names.use('Asking')}(", [f"port={port}", f"arguments={len(call.args)}", f"goals={{{places}}}"], ")"
+    )
 
 
 def _reads(formula: e.Expr) -> list[str]:
@@ -150,53 +190,67 @@ def _display(found: list[str]) -> str:
     return display([expr.literal(name) for name in found])
 
 
-def _fleet(program: ir.Program, names: Names) -> list[tuple[str, str, str, str]]:
-    """Attribute, whether each robot has one, type and name of all that properties may read."""
-    ports = [
-        (names.ports[m.name, p.name], "Each", annotation(p.type, names), expr.literal(f"{m.name}.{p.name}"))
-        for m in program.modules
-        for p in m.ports
-        if p.direction in ("sensor", "actuator")
-    ]
-    shared = [
-        (
-            names.shared[v.name],
-            "Each" if v.kind == "allread" else "One",
-            annotation(v.type, names),
-            expr.literal(v.name),
-        )
-        for v in program.shared
-    ]
-    own = [(names.locals[v.name], "Each", annotation(v.type, names), expr.literal(v.name)) for v in program.locals]
-    return [*ports, *shared, *own]
+def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
+    """Add the class of all that properties may read."""
+    page.gap()
+    page.add(f"class Fleet({names.use('Known')}):")
+    page.add(f'"""What the properties of {program.name} are evaluated on: all of every robot, at one moment."""', STEP)
+    _add_init(page, names)
+    for m, p in _ports(program, "sensor", "actuator"):
+        _add_part(page, names.ports[m.name, p.name], "Each", p.type, f"{m.name}.{p.name}", names)
+    for v in program.shared:
+        kind = "Each" if v.kind == "allread" else "One"
+        _add_part(page, names.shared[v.name], kind, v.type, v.name, names)
+    for w in program.locals:
+        _add_part(page, names.locals[w.name], "Each", w.type, w.name, names)
 
 
-def _ports(program: ir.Program, names: Names) -> list[tuple[str, str, str]]:
-    return [
-        (names.ports[m.name, p.name], annotation(p.type, names), expr.literal(f"{m.name}.{p.name}"))
-        for m in program.modules
-        for p in m.ports
-        if p.direction in ("sensor", "actuator")
-    ]
+def _add_init(page: Page, names: Names) -> None:
+    page.gap(1)
+    page.add(f"def __init__(self, n_sys: int, trail: {names.use('Trail')} | None = None) -> None:", STEP)
+    page.add("super().__init__(n_sys, trail)", STEP * 2)
 
 
-def _callables(program: ir.Program, names: Names) -> list[tuple[str, str, str]]:
-    return [
-        (names.ports[m.name, p.name], annotation(p.type, names), expr.literal(f"{m.name}.{p.name}"))
-        for m in program.modules
-        for p in m.ports
-        if p.direction == "callable"
-    ]
+def _add_part(page: Page, attribute: str, kind: str, type_: Type, name: str, names: Names) -> None:
+    held = brackets(f"{names.use(kind)}[", [annotation(type_, names)], "]")
+    page.add(joined(f"self.{attribute}: ", held, f" = self.of_{kind.lower()}({expr.literal(name)})"), STEP * 2)
 
 
-def _head(program: ir.Program, names: Names, body: str) -> str:
+def _ports(program: ir.Program, *directions: str) -> list[tuple[ir.Module, ir.Port]]:
+    return [(m, p) for m in program.modules for p in m.ports if p.direction in directions]
+
+
+def _add_step(page: Page, program: ir.Program, names: Names) -> None:
+    """Add the classes of all that assumptions may read."""
+    page.gap()
+    page.add("class Ports:")
+    page.add('"""One robot\'s ports."""', STEP)
+    page.gap(1)
+    page.add(f'def __init__(self, known: {names.use("Known")}, prime: str = "") -> None:', STEP)
+    for m, p in _ports(program, "sensor", "actuator"):
+        held = brackets(f"{names.use('One')}[", [annotation(p.type, names)], "]")
+        value = f"known.of_one({expr.literal(f'{m.name}.{p.name}')} + prime)"
+        page.add(joined(f"self.{names.ports[m.name, p.name]}: ", held, f" = {value}"), STEP * 2)
+    page.gap()
+    page.add("class Step(Known):")
+    page.add('"""What an assumption is evaluated on: one robot\'s ports right after the program\'s step,', STEP)
+    page.add('and at a later moment of the same round."""', STEP)
+    _add_init(page, names)
+    page.add("self.before = Ports(self)", STEP * 2)
+    page.add('self.after = Ports(self, "\'")', STEP * 2)
+    for m, p in _ports(program, "callable"):
+        name = expr.literal(f"{m.name}.{p.name}")
+        add_callable(page, names.ports[m.name, p.name], annotation(p.type, names), name, "answer", names)
+
+
+def _head(program: ir.Program, names: Names) -> Page:
     own = {*names.params.values(), *names.records.values(), *names.functions.values(), *names.externs.values()}
     own |= {"PROGRAM", *names.extern_types.values()}
-    used = sorted(own & set(re.findall(r"(?<![\w.\"'])[A-Za-z_]\w*", body)))
-    groups = [group for group in library.imports(body) if group]
-    groups.append([f"from program import {', '.join(used)}"])
-    return (
-        f'"""{program.name}: the properties of the Koord program {program.path}, by koordgen {__version__}.\n\n'
-        'The next build writes this file anew: change the Koord program, not this.\n"""\n\n'
-        "from __future__ import annotations\n\n" + "\n\n".join("\n".join(group) for group in groups) + "\n"
-    )
+    page = Page()
+    page.add(f'"""{program.name}: the properties of the Koord program {program.path}, by koordgen {__version__}.')
+    page.gap(1)
+    page.add("The next build writes this file anew: change the Koord program, not this.")
+    page.add('"""')
+    add_imports(page, [*library.imports(names.used), library.imported("program", sorted(own & names.used))])
+    add_notes(page, names, _NOTES)
+    return page

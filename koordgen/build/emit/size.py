@@ -50,6 +50,11 @@ def checked(node: ir.Binary) -> str:
     return ""
 
 
+def is_small(node: ir.Expr) -> bool:
+    """Return whether an int surely fits into a variable, whatever the variables that it reads hold."""
+    return _bits(node) < SMALL_BITS
+
+
 def _bits(node: ir.Expr) -> int:
     """Return a bound of the bits of an int."""
     match node:

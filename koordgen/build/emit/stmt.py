@@ -1,120 +1,155 @@
-"""IR statements -> Python lines, each ending in the comment that names its Koord line."""
+"""IR statements -> Python lines, each with the line of its Koord statement."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import assert_never
 
 from koordgen.build.emit import expr
+from koordgen.build.emit.layout import STEP, Page, brackets, chain, joined
 from koordgen.build.emit.names import Names
 from koordgen.build.emit.types import annotation
 from koordgen.lang.ir import stmt as ir
-from koordgen.lang.ir.expr import Const, Expr, Ids, Range
+from koordgen.lang.ir.expr import (
+    Binary,
+    Const,
+    Expr,
+    Ids,
+    LocalRead,
+    Pid,
+    PortRead,
+    Range,
+    SharedRead,
+    SlotRead,
+    TempRead,
+)
 from koordgen.lang.ir.types import BOOL
 
-STEP = "    "
 
-
-def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str]:
-    """The statements of a block, indented; `pass` for an empty one."""
+def add_block(page: Page, block: ir.Block, names: Names, indent: str) -> None:
+    """Add the statements of a block, indented; `pass` for an empty one."""
     if not block:
-        yield f"{indent}pass"
+        page.add("pass", indent)
     for statement in block:
-        mark = f"  # {path}:{statement.span.line}"
         match statement:
             case ir.If():
-                yield from _if(statement, names, path, indent, "if")
+                _add_if(page, statement, names, indent, "if")
             case ir.For():
-                yield from _for(statement, names, path, indent)
+                _add_for(page, statement, names, indent)
             case ir.While():
-                yield from _while(statement, names, path, indent)
+                _add_while(page, statement, names, indent)
             case _:
-                yield f"{indent}{_simple(statement, names)}{mark}"
+                page.add(_simple(statement, names), indent, statement.span.line)
 
 
-def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
-    """Yield a `for` loop. Invariants of a loop that counts are evaluated with the next value: its range gets a name."""
-    mark = f"  # {path}:{loop.span.line}"
+def _add_for(page: Page, loop: ir.For, names: Names, indent: str) -> None:
+    """Add a `for` loop. Invariants of a loop that counts are evaluated with the next value: its range gets a name."""
+    line = loop.span.line
     taken, over = ", ".join([names.temp(name) for name in loop.names]), expr.domain(loop.values, names)
-    claims = [f"{claim}  # {path}:{line}" for claim, line in _claims(loop, names)]
+    claims = _claims(loop, names)
     counts = bool(claims) and isinstance(loop.values, (Range, Ids))
     if counts:
         turns = names.turns(loop.names[0])
-        yield f"{indent}{turns} = {over}{mark}"
+        page.add(joined(f"{turns} = ", over), indent, line)
         over = turns
-    yield f"{indent}for {taken} in turns({over}):{mark}"
-    yield from (f"{indent}{STEP}{claim}" for claim in claims)
+    page.add(joined(f"for {taken} in ", brackets(f"{names.use('turns')}(", [over], ")"), ":"), indent, line)
+    _add_claims(page, claims, indent)
     if loop.block or not claims:
-        yield from lines(loop.block, names, path, indent + STEP)
+        add_block(page, loop.block, names, indent + STEP)
     if claims:
-        yield f"{indent}else:"
+        page.add("else:", indent)
     if counts:
-        yield f"{indent}{STEP}{taken} = behind({over}){mark}"
-    yield from (f"{indent}{STEP}{claim}" for claim in claims)
+        page.add(f"{taken} = {names.use('behind')}({over})", indent + STEP, line)
+    _add_claims(page, claims, indent)
 
 
-def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str]:
-    """Yield a `while` loop. Its invariants are evaluated before its condition, or, where that is True, in the block."""
-    mark = f"  # {path}:{loop.span.line}"
+def _add_while(page: Page, loop: ir.While, names: Names, indent: str) -> None:
+    """Add a `while` loop. Its invariants are evaluated before its condition, or, where that is True, in the block."""
     claims = _claims(loop, names)
     endless = loop.condition == Const(True, BOOL, loop.span)
+    condition = _each_turn(loop.condition, names)
     if not claims or endless:
-        yield f"{indent}while {_each_turn(loop.condition, names)}:{mark}"
-        yield from (f"{indent}{STEP}{claim}  # {path}:{line}" for claim, line in claims)
+        page.add(joined("while ", condition, ":"), indent, loop.span.line)
+        _add_claims(page, claims, indent)
     else:
-        heads = " and ".join([claim for claim, _ in claims])
-        yield f"{indent}while {heads} and {_each_turn(loop.condition, names)}:{mark}"
+        first, *others = [claim for claim, _ in claims]
+        heads = chain(first, *[joined("and ", claim) for claim in others], joined("and ", condition))
+        page.add(joined("while ", heads, ":"), indent, loop.span.line)
     if loop.block or not (claims and endless):
-        yield from lines(loop.block, names, path, indent + STEP)
+        add_block(page, loop.block, names, indent + STEP)
+
+
+def _add_claims(page: Page, claims: list[tuple[str, int]], indent: str) -> None:
+    for claim, line in claims:
+        page.add(claim, indent + STEP, line)
 
 
 def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
     """Return the calls that evaluate a loop's invariants, each with its line; a call is always true."""
-    lines = [invariant.span.line for invariant in loop.invariants]
-    held = [expr.text(invariant.formula, names) for invariant in loop.invariants]
-    return [(f"claim({line}, lambda: {text})", line) for line, text in zip(lines, held, strict=True)]
+    return [(_claim(invariant, names), invariant.span.line) for invariant in loop.invariants]
+
+
+def _claim(invariant: ir.LoopInvariant, names: Names) -> str:
+    holds = joined("lambda: ", expr.text(invariant.formula, names))
+    return brackets(f"{names.use('claim')}(", [str(invariant.span.line), holds], ")")
 
 
 def _each_turn(condition: Expr, names: Names) -> str:
     """The condition of a `while`, which takes a turn where it holds."""
+    turn = f"{names.use('turn')}()"
     forever = isinstance(condition, Const) and condition.value is True
-    return "turn()" if forever else f"{expr.operand_of_and(condition, names)} and turn()"
+    return turn if forever else expr.and_also(condition, f"and {turn}", names)
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:
     match statement:
         case ir.Assign(place, value):
-            return f"{_place(place, names)} = {expr.text(value, names)}"
+            changed = expr.change(value, names) if _changes(place, value) else ""
+            return joined(_place(place, names), changed or joined(" = ", expr.text(value, names)))
         case ir.Let(name, type_, value):
-            return f"{names.temp(name)}: {annotation(type_, names)} = {expr.text(value, names)}"
+            return joined(f"{names.temp(name)}: ", annotation(type_, names), " = ", expr.text(value, names))
         case ir.Break():
             return "break"
         case ir.Continue():
             return "continue"
         case ir.Return(value):
-            return f"return {expr.text(value, names)}"
+            return joined("return ", expr.text(value, names))
         case ir.Emit(module, port, items):
             parts = [expr.literal(f"{module}.{port}"), *[expr.text(item, names) for item in items]]
-            return f"s.emit({', '.join(parts)})"
+            return brackets("s.emit(", parts, ")")
         case ir.Stop():
-            return "raise Stopped"
+            return f"raise {names.use('Stopped')}"
         case ir.If() | ir.For() | ir.While():
             raise AssertionError("these have blocks")
         case _:
             assert_never(statement)
 
 
-def _if(statement: ir.If, names: Names, path: str, indent: str, keyword: str) -> Iterator[str]:
-    yield f"{indent}{keyword} {expr.text(statement.condition, names)}:  # {path}:{statement.span.line}"
-    yield from lines(statement.then, names, path, indent + STEP)
+def _changes(place: ir.Place, value: Expr) -> bool:
+    """Return whether a value is an operation whose left operand reads the very place that it is assigned to."""
+    if not isinstance(value, Binary):
+        return False
+    match place, value.left:
+        case (ir.LocalPlace(name), LocalRead(read)) | (ir.SharedPlace(name), SharedRead(read)):
+            return name == read
+        case (ir.TempPlace(name), TempRead(read)) | (ir.OwnSlot(name), SlotRead(read, Pid())):
+            return name == read
+        case ir.PortPlace(module, port), PortRead(owner, read, False):
+            return (module, port) == (owner, read)
+        case _:
+            return False
+
+
+def _add_if(page: Page, statement: ir.If, names: Names, indent: str, keyword: str) -> None:
+    page.add(joined(f"{keyword} ", expr.text(statement.condition, names), ":"), indent, statement.span.line)
+    add_block(page, statement.then, names, indent + STEP)
     match statement.orelse:
         case ():
             return
         case (ir.If() as chained,):
-            yield from _if(chained, names, path, indent, "elif")
+            _add_if(page, chained, names, indent, "elif")
         case orelse:
-            yield f"{indent}else:"
-            yield from lines(orelse, names, path, indent + STEP)
+            page.add("else:", indent)
+            add_block(page, orelse, names, indent + STEP)
 
 
 def _place(place: ir.Place, names: Names) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from koordgen.build.emit import expr as exact
 from koordgen.build.emit.floats import may_meet_nan
+from koordgen.build.emit.layout import brackets, chain, joined
 from koordgen.build.emit.names import Names
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, Type
@@ -24,18 +25,22 @@ class _Beyond(Exception):
 
 def text(formula: ir.Expr, names: Names) -> str:
     """The expression, over what is called `b`, which has the arrays; empty when there is none."""
-    try:
-        return _sure(formula, True, {}, names)
-    except _Beyond:
-        return ""
+    return _attempted(formula, {}, names)
 
 
 def text_of_each(formula: ir.Expr, names: Names) -> str:
     """The same of an assumption, for all robots at once: they are along the first axis."""
+    return _attempted(formula, {"": 0}, names)
+
+
+def _attempted(formula: ir.Expr, axes: dict[str, int], names: Names) -> str:
+    apart = names.attempt()
     try:
-        return _sure(formula, True, {"": 0}, names)
+        found = _sure(formula, True, axes, apart)
     except _Beyond:
         return ""
+    names.used |= apart.used
+    return found
 
 
 def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> str:
@@ -47,21 +52,21 @@ def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> st
             both = (op == "and") == wanted
             if not both and may_meet_nan(left):
                 raise _Beyond
-            parts = f"({_sure(left, wanted, axes, names)}, {_sure(right, wanted, axes, names)})"
-            return f"b.{'both' if both else 'either'}{parts}"
+            parts = [_sure(left, wanted, axes, names), _sure(right, wanted, axes, names)]
+            return brackets(f"b.{'both' if both else 'either'}(", parts, ")")
         case ir.Quantified(kind, name, ir.Ids(), body):
             if (kind == "exists") == wanted and may_meet_nan(body):
                 raise _Beyond
             inner = _sure(body, wanted, {**axes, name: len(axes)}, names)
-            return f"b.{'every' if (kind == 'forall') == wanted else 'some'}({len(axes)}, {inner})"
+            return brackets(f"b.{'every' if (kind == 'forall') == wanted else 'some'}(", [str(len(axes)), inner], ")")
         case ir.Compare(op, left, right):
             return _compared(op if wanted else _OPPOSITE[op], left, right, axes, names)
         case ir.Contains(item, ir.Builtin("Rect" | "Ball" as region, (one, other))) if item.type == POINT:
-            parts = ", ".join([_value(part, axes, names) for part in (item, one, other)])
-            return f"b.{'in' if wanted else 'out_of'}_{region.lower()}({parts})"
+            parts = [_value(part, axes, names) for part in (item, one, other)]
+            return brackets(f"b.{'in' if wanted else 'out_of'}_{region.lower()}(", parts, ")")
         case _ if node.type == BOOL:
             shown = _value(node, axes, names)
-            return shown if wanted else f"b.no({shown})"
+            return shown if wanted else brackets("b.no(", [shown], ")")
         case _:
             raise _Beyond
 
@@ -70,15 +75,15 @@ def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], name
     first, second = _value(left, axes, names), _value(right, axes, names)
     match left, right:
         case ((ir.TempRead() | ir.Pid()), (ir.TempRead() | ir.Pid())):  # two robots
-            return f"{first} {op} {second}"
+            return chain(first, f"{op} {second}")
         case _ if left.type == BOOL and op in ("==", "!="):
-            return f"({first}) {op} ({second})"
+            return chain(brackets("(", [first], ")"), joined(f"{op} ", brackets("(", [second], ")")))
         case _ if left.type not in _NUMBERS or op == "==":
             raise _Beyond  # no margin makes it sure
         case _ if op == "!=":
-            return f"b.apart({first}, {second})"
+            return brackets("b.apart(", [first, second], ")")
         case _:
-            return f"b.over({first}, {second})" if op in (">", ">=") else f"b.over({second}, {first})"
+            return brackets("b.over(", [first, second] if op in (">", ">=") else [second, first], ")")
 
 
 def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
@@ -89,7 +94,8 @@ def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
         case ir.NSys():
             return "b.n_sys"
         case ir.ParamRead(name) if _plain(node.type):
-            return f"b.point({names.params[name]})" if node.type == POINT else names.params[name]
+            param = names.use(names.params[name])
+            return f"b.point({param})" if node.type == POINT else param
         case ir.Pid():
             return "b.robot(0)"
         case ir.PortRead(module, port, primed) if _plain(node.type):
@@ -106,7 +112,7 @@ def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
         case ir.Widen(operand):
             return _value(operand, axes, names)
         case ir.Unary("-", operand):
-            return f"-({_value(operand, axes, names)})"
+            return brackets("-(", [_value(operand, axes, names)], ")")
         case _:
             return _made(node, axes, names)
 
@@ -114,13 +120,14 @@ def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
 def _made(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
     match node:
         case ir.Binary("+" | "-" | "*" as op, left, right) if _plain(left.type) and _plain(right.type):
-            return f"({_value(left, axes, names)} {op} {_value(right, axes, names)})"
+            last = joined(f"{op} ", _value(right, axes, names))
+            return brackets("(", [chain(_value(left, axes, names), last)], ")")
         case ir.Binary("/", left, (ir.Const(by) | ir.Widen(ir.Const(by)))) if by and _plain(left.type):
-            return f"({_value(left, axes, names)} / {by!r})"
+            return brackets("(", [chain(_value(left, axes, names), f"/ {by!r}")], ")")
         case ir.Field(operand, name) if operand.type == POINT:
-            return f"({_value(operand, axes, names)})[{'xyz'.index(name)}]"
+            return joined(brackets("(", [_value(operand, axes, names)], ")"), f"[{'xyz'.index(name)}]")
         case ir.Builtin("distance" | "Point" as name, args):
-            return f"b.{name.lower()}({', '.join([_value(arg, axes, names) for arg in args])})"
+            return brackets(f"b.{name.lower()}(", [_value(arg, axes, names) for arg in args], ")")
         case _:
             raise _Beyond
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import assert_never
 
+from koordgen.build.emit.layout import brackets, display, joined
 from koordgen.build.emit.names import Names
 from koordgen.lang.ir.types import (
     BOOL,
@@ -32,54 +33,71 @@ FIXED: dict[Type, int] = {
 }  # fmt: skip
 EXTERN_BYTES = 256  # of a value of an extern type
 _SIZED = {"string": ("str", "Text"), "GridMap": ("GridMap", "Cells"), "Scan": ("Scan", "Rays")}
-_DEFAULTS: dict[Type, str] = {
-    BOOL: "False", INT: "0", FLOAT: "0.0", POINT: "Point()", POSE: "Pose()", GRID: "Grid()"
-}  # fmt: skip
+_DEFAULTS: dict[Type, str] = {BOOL: "False", INT: "0", FLOAT: "0.0"}
 
 
 def annotation(type_: Type, names: Names) -> str:
     """The Python type of a Koord type's values; a planner's is that of what it returns."""
     match type_:
+        case Scalar() if type_ == PLANNER:
+            return _tuple(names.use("Point"), "...")
         case Scalar():
-            return {PLANNER: "tuple[Point, ...]", STREAM: "str"}.get(type_, type_.name)
+            return "str" if type_ == STREAM else names.use(type_.name)
         case Sized(name):
-            return _SIZED[name][0]
+            return names.use(_SIZED[name][0])
         case Sequence(_, element) | PerRobot(element):
-            return f"tuple[{annotation(element, names)}, ...]"
+            return _tuple(annotation(element, names), "...")
         case MapOf(key, value):
-            return f"tuple[tuple[{annotation(key, names)}, {annotation(value, names)}], ...]"
+            return _tuple(_tuple(annotation(key, names), annotation(value, names)), "...")
         case TupleOf(items):
-            return f"tuple[{', '.join([annotation(item, names) for item in items])}]"
+            return _tuple(*[annotation(item, names) for item in items])
         case RecordType(name):
-            return names.records[name]
+            return names.use(names.records[name])
         case ExternType(name):
-            return names.extern_types[name]
+            return names.use(names.extern_types[name])
         case _:
             assert_never(type_)
+
+
+def _tuple(*items: str) -> str:
+    return brackets("tuple[", items, "]")
 
 
 def bound(type_: Type, names: Names) -> str:
     """The Python expression for a type's Bound. An argument's one value a robot has none of its own."""
     match type_:
         case Scalar():
-            return f"Fixed({FIXED[type_]})"
+            return f"{names.use('Fixed')}(bytes={FIXED[type_]})"
         case Sized(name, capacity):
-            return f"{_SIZED[name][1]}({capacity})"
+            return f"{names.use(_SIZED[name][1])}(capacity={capacity})"
         case Sequence(name, element, capacity):
-            return f"{'Distinct' if name == 'Set' else 'Many'}({capacity}, {bound(element, names)})"
+            return _many("Distinct" if name == "Set" else "Many", capacity, element, names)
         case PerRobot(element):
-            return f"Many(128, {bound(element, names)})"
+            return _many("Many", 128, element, names)
         case MapOf(key, value, capacity):
-            return f"Pairs({capacity}, {bound(key, names)}, {bound(value, names)})"
+            keys, values = (joined(f"{part}=", bound(t, names)) for part, t in (("key", key), ("value", value)))
+            return brackets(f"{names.use('Pairs')}(", [f"capacity={capacity}", keys, values], ")")
         case TupleOf(items):
-            return f"Parts(({', '.join([bound(item, names) for item in items])}))"
-        case RecordType(name, fields):
-            called = [f'"{names.fields[name][field]}"' for field, _ in fields]
-            return f"Parts({display([bound(field, names) for _, field in fields])}, {display(called)})"
+            parts = display([bound(item, names) for item in items])
+            return brackets(f"{names.use('Parts')}(", [joined("items=", parts)], ")")
+        case RecordType():
+            made = bound_of_record(type_, names)
+            return names.bounds.get(made, made)
         case ExternType(name):
-            return f'Blob({EXTERN_BYTES}, "{name}")'
+            return f'{names.use("Blob")}(capacity={EXTERN_BYTES}, name="{name}")'
         case _:
             assert_never(type_)
+
+
+def _many(kind: str, capacity: int, element: Type, names: Names) -> str:
+    return brackets(f"{names.use(kind)}(", [f"capacity={capacity}", joined("element=", bound(element, names))], ")")
+
+
+def bound_of_record(type_: RecordType, names: Names) -> str:
+    """The Python expression for a record's Bound, which has a name if its capacities are the declared ones."""
+    items = display([bound(field, names) for _, field in type_.fields])
+    fields = display([f'"{names.fields[type_.name][field]}"' for field, _ in type_.fields])
+    return brackets(f"{names.use('Parts')}(", [joined("items=", items), joined("fields=", fields)], ")")
 
 
 def with_floats(type_: Type) -> bool:
@@ -103,21 +121,16 @@ def default(type_: Type, names: Names) -> str:
     """The value of a type that nothing was ever written to."""
     match type_:
         case Scalar():
-            return _DEFAULTS[type_]
+            return _DEFAULTS.get(type_) or f"{names.use(type_.name)}()"
         case Sized(name):
-            return '""' if name == "string" else f"{name}()"
+            return '""' if name == "string" else f"{names.use(name)}()"
         case TupleOf(items):
             return display([default(item, names) for item in items])
         case RecordType(name):
-            return f"{names.records[name]}()"
+            return f"{names.use(names.records[name])}()"
         case ExternType():
-            return "Opaque()"
+            return f"{names.use('Opaque')}()"
         case Sequence() | MapOf() | PerRobot():
             return "()"
         case _:
             assert_never(type_)
-
-
-def display(items: list[str]) -> str:
-    """A tuple of these items."""
-    return f"({items[0]},)" if len(items) == 1 else f"({', '.join(items)})"

@@ -41,7 +41,7 @@ from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
 from koordgen.runtime.ops.status import ask, show
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program, wrong_first_value
-from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.property import Properties, without_properties
 from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.trace.parts import MEGABYTE, Parts, set_aside
 from koordgen.runtime.trace.writer import Trace
@@ -68,7 +68,7 @@ def main(
     properties: Properties | None = None,
 ) -> int:
     """Run robot `program` on the body `platform_type` makes, with the settings in `root`; `drivers` makes those of
-    modules that the body does not offer, `properties` are monitored. Returns the exit status."""
+    modules that the body does not offer, `properties` are monitored (None: it has none). Returns the exit status."""
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
@@ -96,7 +96,8 @@ def main(
             _say("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
-        return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)
+        watched = properties or without_properties(program)
+        return _run(program, settings, key, platform, root, watched, quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:

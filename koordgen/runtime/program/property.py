@@ -6,17 +6,22 @@ has heard. What is not known is UNKNOWN, and a property that cannot be told with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import importlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
 
 from koordgen.runtime.program.program import Calls, Program
 from koordgen.runtime.values.containers import OutOfRange
+from koordgen.runtime.values.points import Point, Pose
 from koordgen.runtime.values.turns import begin
 
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
 LONGEST = 300  # characters of a reason
+# Sensors of a body that a harness can measure itself, by their types; what else there is the robot says.
+MEASURED = {"position": Point, "velocity": Point, "pose": Pose}
 
 
 class _Unknown:
@@ -262,6 +267,25 @@ class Properties:
     assumptions: tuple[Assumption, ...] = ()
     unchecked: tuple[Unchecked, ...] = ()
     measured: tuple[str, ...] = ()
+
+
+def properties_of(root: Path, program: Program, driven: Collection[str] = ()) -> Properties:
+    """Return the properties of the bundle at `root`, from which `program` was imported. `driven` are the modules that
+    drivers of the user's own serve. A bundle has no file for properties where its program has none."""
+    if not (root / "properties.py").is_file():
+        return without_properties(program, driven)
+    found: Properties = importlib.import_module("properties").PROPERTIES
+    return found
+
+
+def without_properties(program: Program, driven: Collection[str] = ()) -> Properties:
+    """Return what there is to tell of a program that has no properties: which sensors are `measured`."""
+    measured = []
+    for port in program.ports:
+        module, _, name = port.name.partition(".")
+        if port.direction == "sensor" and module not in driven and MEASURED.get(name) is port.type:
+            measured.append(port.name)
+    return Properties(program, Known, Known, measured=tuple(measured))
 
 
 def judged(holds: Callable[[Known], bool], known: Known) -> tuple[Outcome, str]:

@@ -14,7 +14,7 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koordgen.runtime.program.extern import BadExtern
-from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
+from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged, properties_of
 from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdict, View, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
@@ -45,13 +45,13 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
 _CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
 
 
-def load(root: Path) -> Properties:
-    """The properties of the sim bundle at `root`."""
+def load(root: Path, driven: Collection[str] = ()) -> Properties:
+    """The properties of the sim bundle at `root`. `driven` are the modules that drivers of the user's own serve."""
     sys.path.insert(0, str(root))
     try:
         for name in ("program", "properties"):  # of another bundle
             sys.modules.pop(name, None)
-        found: Properties = importlib.import_module("properties").PROPERTIES
+        found = properties_of(root, importlib.import_module("program").PROGRAM, driven)
         if found.program.library is not None:
             with suppress(BadExtern):  # the robots say so; a property that asks it has no value
                 found.program.library.load()

@@ -23,7 +23,7 @@ from koordgen.runtime.net.layout import TooLarge
 from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.property import Properties, properties_of
 from koordgen.runtime.program.runner import Limit
 from koordgen.runtime.trace.schema import HEADER, TraceRecord, decoded
 from koordgen.runtime.trace.writer import Trace
@@ -192,7 +192,7 @@ class Resident(Agent):
 
     def _loaded(self) -> tuple[Program, Properties, Drivers]:
         """See `_loaded` below."""
-        return _loaded(self._shared.scenario)
+        return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle)
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """The device's own platform, where it has one, else the target's."""
@@ -357,10 +357,10 @@ class Resident(Agent):
             self._log.close()
 
 
-def _loaded(scenario: Scenario) -> tuple[Program, Properties, Drivers]:
+def _loaded(scenario: Scenario, bundle: Path) -> tuple[Program, Properties, Drivers]:
     """What the bundle's `__main__.py` takes from beside it. Within `Own`. Raises BadExtern and what imports raise."""
     program: Program = importlib.import_module("program").PROGRAM
-    properties: Properties = importlib.import_module("properties").PROPERTIES
+    properties = properties_of(bundle, program)
     if program.library is not None:
         program.library.load()
     drivers: dict[str, Callable[[], Any]] = {

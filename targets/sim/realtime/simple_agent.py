@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.agent.process import main
+from koordgen.runtime.program.property import properties_of
 from targets.sim.base.bodies import Asked, BodyState, Vector
 
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode
@@ -68,7 +69,7 @@ def run(argv: list[str]) -> int:
     module, _, member = platform.partition(":")
     make: Callable[..., Any] = getattr(importlib.import_module(module), member)
     program = importlib.import_module("program").PROGRAM
-    properties = importlib.import_module("properties").PROPERTIES
+    properties = properties_of(Path(bundle), program)
     found = {
         served: getattr(importlib.import_module(name), cls)
         for served, name, cls in msgspec.json.decode(drivers, type=list[tuple[str, str, str]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from types import ModuleType
 from typing import Any
@@ -34,6 +35,11 @@ def checked(text: str) -> IR:
     assert program is not None, wrong
     verify(program)
     return program
+
+
+def in_one_line(text: str) -> str:
+    """Python text with each statement in one line and without comments, as Python itself writes it."""
+    return ast.unparse(ast.parse(text))
 
 
 def load(text: str, functions: str = "") -> rt.Program:

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
-from tests.build.emit.generated import checked
+from tests.build.emit.generated import checked, in_one_line
 
 HEAD = """
 param float eps = 0.5
@@ -37,7 +37,7 @@ E:
 
 def checks(effect: str, guard: str = "True") -> list[str]:
     """Return the checks for NaN in generated code, in the order of the text, but for the function of the head."""
-    text = program_text(checked(HEAD.format(guard=guard, effect=effect.replace("\n", "\n    "))))
+    text = in_one_line(program_text(checked(HEAD.format(guard=guard, effect=effect.replace("\n", "\n    ")))))
     return re.findall(r"no_nan\w*\([^()]*", text[text.index("def guard_e") :])
 
 

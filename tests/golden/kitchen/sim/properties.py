@@ -7,28 +7,27 @@ from __future__ import annotations
 
 from typing import Any
 
+from koordgen.runtime.program.property import (
+    Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
+)
 from koordgen.runtime.values.containers import last
 from koordgen.runtime.values.gridmap import GridMap
-from koordgen.runtime.program.property import (
-    Asking,
-    Assumption,
-    Each,
-    Known,
-    One,
-    Properties,
-    Property,
-    Trail,
-    Unchecked,
-)
+from koordgen.runtime.values.points import Point, Pose, Scan, distance, no_nan_in
 from koordgen.runtime.values.region import Ball, Rect
 from koordgen.runtime.values.turns import looked, turns
-from koordgen.runtime.values.points import Point, Pose, Scan, distance, no_nan_in
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
 
+# As in program.py; a formula has no value where it says that the event is discarded:
+#   at(xs, i)         is xs[i]; an i below 0 or beyond the end discards the event
+#   no_nan(x)         is x; NaN discards the event, where a comparison alone would be false
+#   turns(xs)         is xs, and counts: an event has a million turns of loops and calls
+#   made(xs)          is xs, and counts a turn for each 100 elements; so does looked(xs)
+#   f(a) + g(b)       calls f first: operands are evaluated from left to right, as in Koord
+
 
 class Fleet(Known):
-    """What the properties of kitchen are evaluated on: everything of every robot, at one moment."""
+    """What the properties of kitchen are evaluated on: all of every robot, at one moment."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         super().__init__(n_sys, trail)
@@ -64,14 +63,16 @@ class Ports:
     def __init__(self, known: Known, prime: str = "") -> None:
         self.motion_position: One[Point] = known.of_one("Motion.position" + prime)
         self.motion_reached: One[bool] = known.of_one("Motion.reached" + prime)
-        self.motion_pscan: One[tuple[tuple[Point, Scan], ...]] = known.of_one("Motion.pscan" + prime)
+        self.motion_pscan: One[
+            tuple[tuple[Point, Scan], ...]
+        ] = known.of_one("Motion.pscan" + prime)
         self.motion_target: One[Point] = known.of_one("Motion.target" + prime)
         self.motion_path: One[tuple[Point, ...]] = known.of_one("Motion.path" + prime)
 
 
 class Step(Known):
-    """What an assumption is evaluated on: one robot's ports right after the program's step, and at a later moment of
-    the same round."""
+    """What an assumption is evaluated on: one robot's ports right after the program's step,
+    and at a later moment of the same round."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         super().__init__(n_sys, trail)
@@ -79,63 +80,147 @@ class Step(Known):
         self.after = Ports(self, "'")
 
     def motion_planner(self, *args: Any) -> tuple[Point, ...]:
-        """A call of "Motion.planner" in the program's step."""
+        """A call of "Motion.planner" in the program."""
         found: tuple[Point, ...] = self.answer("Motion.planner", args)
         return found
 
 
 def initially(s: Fleet) -> bool:
     """initially, kitchen.koord:160"""
-    return s.own("i", lambda my_i: s.own("j", lambda my_j: my_i == my_j or distance(s.motion_position[my_i], s.motion_position[my_j]) > PARAM_MARGIN))
+    return s.own(
+        "i",
+        lambda my_i: s.own(
+            "j",
+            lambda my_j: (
+                my_i == my_j
+                or distance(s.motion_position[my_i], s.motion_position[my_j]) > PARAM_MARGIN
+            ),
+        ),
+    )
 
 
 def invariant_fenced(s: Fleet) -> bool:
     """invariant Fenced, kitchen.koord:161"""
-    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", turns(range(1, s.n_sys)), lambda my_j: s.shared_paths[my_j] == s.shared_paths[my_i])))
+    return s.own(
+        "i",
+        lambda my_i: (
+            s.motion_position[my_i] in Ball(PARAM_HOME, 10.0)
+            and (
+                not s.local_on[my_i]
+                or s.some(
+                    "j",
+                    turns(range(1, s.n_sys)),
+                    lambda my_j: s.shared_paths[my_j] == s.shared_paths[my_i],
+                )
+            )
+        ),
+    )
 
 
 def invariant_sized(s: Fleet) -> bool:
     """invariant Sized, kitchen.koord:162"""
-    return s.every("c", turns(s.shared_waiting.value), lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
+    return s.every(
+        "c",
+        turns(s.shared_waiting.value),
+        lambda my_c: fun_heavy(my_c) or my_c.size <= 3,
+        robots=False,
+    )
 
 
 def invariant_class(s: Fleet) -> bool:
     """invariant Class, kitchen.koord:163"""
-    return s.shared_done.value or len(s.shared_x.all) == s.n_sys and s.every("i", range(s.n_sys), lambda my_i: s.shared_class[my_i] >= -1 and s.local_spot[my_i] != Point(0.0, 0.0, 9.0))
+    return (
+        s.shared_done.value
+        or (
+            len(s.shared_x.all) == s.n_sys
+            and s.every(
+                "i",
+                range(s.n_sys),
+                lambda my_i: (
+                    s.shared_class[my_i] >= -1 and s.local_spot[my_i] != Point(0.0, 0.0, 9.0)
+                ),
+            )
+        )
+    )
 
 
 def assume_motion(s: Step) -> bool:
     """assume of Motion, kitchen.koord:51"""
-    return s.after.motion_position.value in Rect(s.before.motion_position.value, s.before.motion_target.value) or distance(s.after.motion_position.value, s.before.motion_target.value) <= PARAM_MARGIN
+    return (
+        s.after.motion_position.value in Rect(
+            s.before.motion_position.value, s.before.motion_target.value
+        )
+        or distance(s.after.motion_position.value, s.before.motion_target.value) <= PARAM_MARGIN
+    )
 
 
 def surely_assume_motion(b: Any) -> Any:
     """Enough for it, of many moments at once."""
-    return b.either(b.in_rect(b.each("Motion.position'", 0), b.each("Motion.position", 0), b.each("Motion.target", 0)), b.over(PARAM_MARGIN, b.distance(b.each("Motion.position'", 0), b.each("Motion.target", 0))))
+    return b.either(
+        b.in_rect(
+            b.each("Motion.position'", 0), b.each("Motion.position", 0), b.each("Motion.target", 0)
+        ),
+        b.over(PARAM_MARGIN, b.distance(b.each("Motion.position'", 0), b.each("Motion.target", 0))),
+    )
 
 
 def assume_motion_2(s: Step, my_goal: Point) -> bool:
     """assume of Motion, kitchen.koord:52"""
-    return looked(s.motion_planner(my_goal)) == () or last(s.motion_planner(my_goal)) == no_nan_in(my_goal)
+    return (
+        looked(s.motion_planner(my_goal)) == ()
+        or last(s.motion_planner(my_goal)) == no_nan_in(my_goal)
+    )
 
 
 PROPERTIES = Properties(
-    PROGRAM,
-    Fleet,
-    Step,
+    program=PROGRAM,
+    fleet=Fleet,
+    step=Step,
     properties=(
-        Property("initially", "", 160, initially, ("Motion.position",)),
-        Property("invariant", "Fenced", 161, invariant_fenced, ("Motion.position", "on", "paths")),
-        Property("invariant", "Sized", 162, invariant_sized, ("waiting",)),
-        Property("invariant", "Class", 163, invariant_class, ("done", "x", "class", "spot")),
+        Property(kind="initially", name="", line=160, holds=initially, reads=("Motion.position",)),
+        Property(
+            kind="invariant",
+            name="Fenced",
+            line=161,
+            holds=invariant_fenced,
+            reads=("Motion.position", "on", "paths"),
+        ),
+        Property(
+            kind="invariant", name="Sized", line=162, holds=invariant_sized, reads=("waiting",)
+        ),
+        Property(
+            kind="invariant",
+            name="Class",
+            line=163,
+            holds=invariant_class,
+            reads=("done", "x", "class", "spot"),
+        ),
     ),
     assumptions=(
-        Assumption("Motion", 51, assume_motion, ("Motion.position'", "Motion.position", "Motion.target"), (), surely_assume_motion),
-        Assumption("Motion", 52, assume_motion_2, (), (Asking("Motion.planner", 1, {0: "my_goal"}),)),
+        Assumption(
+            module="Motion",
+            line=51,
+            holds=assume_motion,
+            reads=("Motion.position'", "Motion.position", "Motion.target"),
+            goals=(),
+            surely=surely_assume_motion,
+        ),
+        Assumption(
+            module="Motion",
+            line=52,
+            holds=assume_motion_2,
+            reads=(),
+            goals=(Asking(port="Motion.planner", arguments=1, goals={0: "my_goal"}),),
+        ),
     ),
     unchecked=(
-        Unchecked("axiom", "Home", 159, "an axiom is assumed"),
-        Unchecked("invariant", "Calm", 164, "calm (line 158) is a spec fun: only axioms tell of it"),
+        Unchecked(kind="axiom", name="Home", line=159, why="an axiom is assumed"),
+        Unchecked(
+            kind="invariant",
+            name="Calm",
+            line=164,
+            why="calm (line 158) is a spec fun: only axioms tell of it",
+        ),
     ),
     measured=("Motion.position",),
 )

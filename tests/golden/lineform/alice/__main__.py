@@ -16,11 +16,10 @@ if __name__ == "__main__":
         protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported
         from koordgen.runtime.agent.process import main
         from program import PROGRAM
-        from properties import PROPERTIES
         from targets.quad.platform.platform import Quad as Body
     except ImportError as missing:
         from koordgen.runtime.ops.findings import tell_unloadable
 
         raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None
     drivers = {}
-    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers, PROPERTIES))
+    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers))

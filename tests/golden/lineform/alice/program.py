@@ -1,13 +1,16 @@
 """lineform: the Koord program lineform.koord, compiled by koordgen 0.1.0.
 
-Every statement names its line in lineform.koord, which stands beside this file. The next build writes this
-file anew: change the Koord program, not this.
+The comment `# line 12` names a line of lineform.koord, which stands beside this file. `s` is what
+an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:
+change the Koord program, not this.
 """
 
 from __future__ import annotations
 
+from koordgen.runtime.program.program import (
+    Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
+)
 from koordgen.runtime.values.bounds import Fixed
-from koordgen.runtime.program.program import Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
 from koordgen.runtime.values.points import Point
 
 
@@ -22,40 +25,52 @@ class State(Transaction):
 
 
 def init(s: State) -> None:
-    s.shared_x.own = s.motion_position  # lineform.koord:10
+    s.shared_x.own = s.motion_position  # line 10
 
 
 def guard_target_update(s: State) -> bool:
     """pre of TargetUpdate, lineform.koord:12"""
-    return not (s.pid == s.n_sys - 1 or s.pid == 0)  # lineform.koord:13
+    return not (s.pid == s.n_sys - 1 or s.pid == 0)  # line 13
 
 
 def effect_target_update(s: State) -> None:
     """eff of TargetUpdate, lineform.koord:12"""
-    s.motion_target.value = (s.shared_x[s.pid + 1] + s.shared_x[s.pid - 1]) / 2.0  # lineform.koord:15
-    s.shared_x.own = s.motion_position  # lineform.koord:16
+    s.motion_target.value = (s.shared_x[s.pid + 1] + s.shared_x[s.pid - 1]) / 2.0  # line 15
+    s.shared_x.own = s.motion_position  # line 16
 
 
-# Line of this file -> line of lineform.koord.
-LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
+# Line of this file: line of lineform.koord.
+LINES: dict[int, int] = {28: 10, 33: 13, 38: 15, 39: 16}
 
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
     program_hash="d2d2942a7e80caab",
     interface_hash="dc2b1ffc690378b4",
-    locals=(
-    ),
+    locals=(),
     shared=(
-        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # lineform.koord:7
+        Variable(  # line 7
+            name="x",
+            kind="allread",
+            type=Point,
+            bound=Fixed(bytes=28),
+            initial=lambda: Point(0.0, 0.0, 0.0),
+        ),
     ),
     ports=(
-        Port("Motion.position", "sensor", Point, is_position=True),
-        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point(), held="Motion.position"),
+        Port(name="Motion.position", direction="sensor", type=Point, is_position=True),
+        Port(
+            name="Motion.target",
+            direction="actuator",
+            type=Point,
+            bound=Fixed(bytes=28),
+            unset=lambda: Point(),
+            held="Motion.position",
+        ),
     ),
     init=init,
     events=(
-        Event("TargetUpdate", 12, guard_target_update, effect_target_update),
+        Event(name="TargetUpdate", line=12, guard=guard_target_update, effect=effect_target_update),
     ),
     begin=State,
     file=__file__,

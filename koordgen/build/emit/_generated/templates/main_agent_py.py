@@ -7,11 +7,16 @@ def root(context, missing=missing):
     concat = environment.concat
     cond_expr_undefined = Undefined
     if 0: yield None
+    l_0_properties = resolve('properties')
     l_0_module = resolve('module')
     l_0_name = resolve('name')
     l_0_drivers = resolve('drivers')
     pass
-    yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n        from properties import PROPERTIES\n        from '
+    yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n'
+    if (undefined(name='properties') if l_0_properties is missing else l_0_properties):
+        pass
+        yield '        from properties import PROPERTIES\n'
+    yield '        from '
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
@@ -37,9 +42,11 @@ def root(context, missing=missing):
         yield str(l_1_served)
         yield '": Driver'
         yield str(environment.getattr(l_1_loop, 'index'))
-        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 28 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 30 in 'main_agent.py' evaluated to false and no else section was defined.")))
     l_1_loop = l_1_served = l_1__ = missing
-    yield '}\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers, PROPERTIES))\n'
+    yield '}\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers'
+    yield str((', PROPERTIES' if (undefined(name='properties') if l_0_properties is missing else l_0_properties) else cond_expr_undefined("the inline if-expression on line 31 in 'main_agent.py' evaluated to false and no else section was defined.")))
+    yield '))\n'
 
 blocks = {}
-debug_info = '20=15&21=20&22=24&28=33'
+debug_info = '19=16&22=20&23=25&24=29&30=38&31=48'

@@ -1,0 +1,188 @@
+"""Layout of generated Python: expressions that remember where they may be broken, and the lines of a module.
+
+s.local_where.value = cell(my_here, PARAM_SIZE)      where it fits into WIDTH columns
+
+s.local_where.value = nearest_of_all(                where the parts between brackets fit into one line
+    my_here, my_others, PARAM_SIZE
+)
+s.local_where.value = (                              else part by part
+    first(my_others)
+    + last(my_others)
+)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+WIDTH = 100  # columns of a generated line, where the parts of an expression allow it
+STEP = "    "
+_DEEPEST = 12  # steps that brackets are broken into: Python reads no more than 200 nested ones, and each may add one
+
+
+class _Code(str):
+    """An expression's text in one line, and its parts. Whatever formats it gets a plain str, which is never broken."""
+
+    __slots__ = ("parts",)
+    parts: Sequence[str]
+
+
+class _Brackets(_Code):
+    """An opening bracket with what stands before it, parts, and a closing bracket."""
+
+    __slots__ = ("comma", "dense")
+    comma: bool  # whether parts end in commas where there are several lines of them
+    dense: bool  # whether a line has as many parts as fit
+
+
+class _Chain(_Code):
+    """Parts that may stand in lines of their own between brackets: operands, each after its operator."""
+
+    __slots__ = ()
+
+
+class _Sequence(_Code):
+    """Parts that follow each other; lines are broken inside of them only."""
+
+    __slots__ = ()
+
+
+def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = False) -> str:
+    """Return `f(a, b)`, `(a, b)`, `[a, b]`: `opening` is all up to the bracket. `dense`: where it is broken, a line has
+    as many items as fit."""
+    if not items:
+        return f"{opening}{closing}"
+    found = _Brackets(f"{opening}{', '.join(items)}{closing}")
+    found.parts, found.comma, found.dense = (opening, *items, closing), len(items) > 1, dense
+    return found
+
+
+def display(items: Sequence[str]) -> str:
+    """Return a tuple of these items."""
+    if len(items) != 1:
+        return brackets("(", items, ")", not any(isinstance(item, _Code) for item in items))
+    found = _Brackets(f"({items[0]},)")
+    found.parts, found.comma, found.dense = ("(", *items, ")"), True, False
+    return found
+
+
+def chain(*parts: str) -> str:
+    """Return operands with spaces between."""
+    found = _Chain(" ".join(parts))
+    found.parts = parts
+    return found
+
+
+def longer(first: str, last: str) -> str:
+    """Return a chain with one more operand, behind an operator that binds as those in `first` do, if it is a chain."""
+    return chain(*first.parts, last) if isinstance(first, _Chain) else chain(first, last)
+
+
+def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
+    """Return `a if b else c` of the parts `a` and `if b`. `more`: what is otherwise is such an expression, too."""
+    if more and isinstance(otherwise, _Chain):
+        return chain(*parts, joined("else ", otherwise.parts[0]), *otherwise.parts[1:])
+    return chain(*parts, joined("else ", otherwise))
+
+
+def joined(*parts: str) -> str:
+    """Return parts that follow each other without spaces."""
+    text = "".join(parts)
+    if not any(isinstance(part, _Code) for part in parts):
+        return text
+    found = _Sequence(text)
+    found.parts = [p for part in parts for p in (part.parts if isinstance(part, _Sequence) else (part,))]
+    return found
+
+
+class Page:
+    """The lines of a module, or of a part of one, each with its line in the Koord program; 0 where it has none."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, int]] = []
+
+    def add(self, code: str = "", indent: str = "", line: int = 0) -> None:
+        """Add code, in as many lines as its width needs. The first of them names `line`."""
+        mark = f"  # line {line}" if line else ""
+        if len(indent) + len(code) + len(mark) <= WIDTH:
+            self.lines.append((f"{indent}{code}{mark}" if code else "", line))
+            return
+        broken = [indent]
+        _put(broken, code, len(indent), len(mark), False)
+        broken[0] += mark
+        self.lines += [(text, line) for text in broken]
+
+    def gap(self, count: int = 2) -> None:
+        """Add empty lines."""
+        self.lines += [("", 0)] * count
+
+
+def _put(lines: list[str], code: str, indent: int, tail: int, bare: bool) -> None:
+    """Write code behind the last line. `tail`: of the last line that it makes, columns that are needed for what
+    follows. `bare`: it stands between brackets by itself, in a line that is empty yet."""
+    if not isinstance(code, _Code) or len(lines[-1]) + len(code) + tail <= WIDTH:
+        lines[-1] += code
+    elif isinstance(code, _Brackets):
+        _put_brackets(lines, code, indent)
+    elif isinstance(code, _Sequence):
+        for place, part in enumerate(code.parts):
+            _put(lines, part, indent, _needed(code.parts[place + 1 :], tail), False)
+    elif bare:
+        for place, part in enumerate(code.parts):
+            if place:
+                lines.append(" " * indent)
+            _put(lines, part, indent, tail if place == len(code.parts) - 1 else 0, False)
+    else:
+        _put_brackets(lines, brackets("(", (code,), ")"), indent)
+
+
+def _put_brackets(lines: list[str], code: str, indent: int) -> None:
+    assert isinstance(code, _Brackets)
+    statement = len(lines[0]) - len(lines[0].lstrip())
+    if indent - statement >= _DEEPEST * len(STEP):
+        lines[-1] += code
+        return
+    opening, *items, closing = code.parts
+    lines[-1] += opening
+    deeper = indent + len(STEP)
+    lines.append(" " * deeper)
+    within = code[len(opening) : len(code) - len(closing)]
+    if deeper + len(within) <= WIDTH:
+        lines[-1] += within
+    elif code.dense:
+        for item in items:
+            if len(lines[-1]) + len(item) + len(" ,") > WIDTH and lines[-1].strip():
+                lines.append(" " * deeper)
+            lines[-1] += f"{' ' * bool(lines[-1].strip())}{item},"
+    else:
+        for place, item in enumerate(items):
+            if place:
+                lines.append(" " * deeper)
+            _put(lines, item, deeper, code.comma, True)
+            lines[-1] += "," * code.comma
+    lines.append(" " * indent + closing)
+
+
+def _needed(parts: Sequence[str], tail: int) -> int:
+    """Return how many columns the parts need, and what follows them, up to the first bracket that may be broken."""
+    columns = 0
+    for part in parts:
+        if isinstance(part, _Code):
+            return columns + len(part.parts[0] if isinstance(part, _Brackets) else "(")
+        columns += len(part)
+    return columns + tail
+
+
+def line_map(head: Page, body: Page, path: str) -> Page:
+    """Return the table of the lines of the program, which faults are told by, for a module that begins with these."""
+    page = Page()
+    page.add(f"# Line of this file: line of {path}.")
+    numbered = enumerate([*head.lines, *body.lines], 1)
+    pairs = [f"{number}: {line}" for number, (_, line) in numbered if line]
+    page.add(brackets("LINES: dict[int, int] = {", pairs, "}", dense=True))
+    return page
+
+
+def text(*pages: Page) -> str:
+    """Return the text of the pages, one after the other."""
+    return "".join([f"{line}\n" for page in pages for line, _ in page.lines])
