@@ -263,7 +263,6 @@ FIELDS = re.compile(r"__match_args__|__dataclass_fields__|koordgen\.lang\.node i
 # Nodes in general; syntax trees, which are compared, shown and measured by all their fields; a class that is no node.
 GO_THROUGH_FIELDS = {
     *("lang/node.py", "lang/analyze/walk.py", "lang/format/__init__.py", "lang/syntax/lr.py", "lang/syntax/printer.py"),
-    *("build/emit/alone.py", "build/emit/expr.py", "build/emit/floats.py", "build/emit/property.py"),
     "operate/installed.py",
 }
 

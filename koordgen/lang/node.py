@@ -11,7 +11,6 @@ as much to build.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from operator import attrgetter
 from types import CodeType, FunctionType
 from typing import Any, TypeVar, dataclass_transform
@@ -66,17 +65,6 @@ class Node(metaclass=_NodeMeta):
     def __repr__(self) -> str:
         shown = ", ".join(f"{f}={getattr(self, f)!r}" for f in type(self).__match_args__ if f != "span")  # type: ignore[attr-defined]
         return f"{type(self).__name__}({shown})"
-
-
-def nodes(part: object) -> Iterator[Node]:
-    """Every node of a tree, or of a tuple of trees, each before those within it: types and spans, too. Of trees of the
-    IR, `walk` of ir/tree.py yields the nodes of the program alone."""
-    if isinstance(part, Node):
-        yield part
-        part = tuple([getattr(part, field) for field in type(part).__match_args__])  # type: ignore[attr-defined]
-    if type(part) is tuple:
-        for inner in part:
-            yield from nodes(inner)
 
 
 def replace(node: N, **changes: object) -> N:

@@ -10,10 +10,10 @@ Then a monitor evaluates its own robot's instance alone: one robot's formula cos
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import children
 from koordgen.lang.node import Node
 
 
@@ -55,7 +55,7 @@ def _may(node: ir.Expr, robot: str, distinct: bool) -> _May:
             return _UNKNOWN if _asks(node, robot) else _ANY
 
 
-def _asks(node: ir.Expr, robot: str) -> bool:
+def _asks(node: Node, robot: str) -> bool:
     """Whether its value is never had without a port or a local of that robot."""
     match node:
         case ir.LocalOf(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)) if at == robot:
@@ -67,13 +67,4 @@ def _asks(node: ir.Expr, robot: str) -> bool:
         case ir.Quantified(_, _, domain, _):
             return _asks(domain, robot)
         case _:
-            return any(_asks(part, robot) for part in _parts(node))
-
-
-def _parts(node: object) -> Iterator[ir.Expr]:
-    """What a node is made of."""
-    for field in type(node).__match_args__:  # type: ignore[attr-defined]
-        part = getattr(node, field)
-        for inner in part if isinstance(part, tuple) else (part,):
-            if isinstance(inner, Node):
-                yield inner  # type: ignore[misc]
+            return any(_asks(part, robot) for part in children(node))

@@ -13,6 +13,7 @@ from koordgen.build.emit.layout import alternatives, brackets, chain, display, j
 from koordgen.build.emit.names import Names
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import (
     FLOAT,
     INT,
@@ -26,7 +27,6 @@ from koordgen.lang.ir.types import (
     TupleOf,
     Type,
 )
-from koordgen.lang.node import nodes
 
 # Python's binding strengths, loosest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
@@ -168,7 +168,7 @@ def _counted(over: ir.Expr, names: Names) -> str:
 
 def _names_a_robot(name: str, body: ir.Expr) -> bool:
     """Whether a temp is the index of a robot somewhere in an expression."""
-    for node in nodes(body):
+    for node in walk(body):
         match node:
             case ir.LocalOf(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)) | ir.SlotRead(_, ir.TempRead(at)):
                 if at == name:

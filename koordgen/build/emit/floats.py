@@ -14,9 +14,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from koordgen.build.emit.types import with_floats
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import INT
 from koordgen.lang.ir.types import Sequence as SequenceOf
-from koordgen.lang.node import nodes
 
 FINITE, NUMBER, ANY = range(3)  # NUMBER: not NaN. Of a value with parts: what holds of all floats in it
 
@@ -148,7 +148,7 @@ def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
 
 def may_meet_nan(formula: ir.Expr) -> bool:
     """Return whether a comparison in a formula may meet NaN, where everything that it reads is finite."""
-    for node in nodes(formula):
+    for node in walk(formula):
         match node:
             case ir.Compare(_, left, right) if _worst((left, right), NOTHING_WRITTEN) == ANY:
                 return True

@@ -13,8 +13,8 @@ from koordgen.build.emit.program import add_callable, add_imports, add_notes, ad
 from koordgen.build.emit.types import annotation
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT, POSE, Type
-from koordgen.lang.node import nodes
 
 # Sensors of a body that a harness can measure itself, beside its position, by their types; all others the robot says.
 _MEASURED = {"velocity": POINT, "pose": POSE}
@@ -93,7 +93,7 @@ def _unchecked(property_: ir.Property, program: ir.Program) -> str:
 
 def _specs(formula: e.Expr, program: ir.Program) -> str:
     specs = {s.name: s.span.line for s in program.specs}
-    for node in nodes(formula):
+    for node in walk(formula):
         if isinstance(node, e.Call) and node.name in specs:
             return f"{node.name} (line {specs[node.name]}) is a spec fun: only axioms tell of it"
     return ""
@@ -173,7 +173,7 @@ def _asking(call: e.PortCall, goals: dict[int, e.TempRead], names: Names) -> str
 def _reads(formula: e.Expr) -> list[str]:
     """The names of ports, locals and shared variables that a formula reads."""
     found: list[str] = []
-    for node in nodes(formula):
+    for node in walk(formula):
         match node:
             case e.LocalOf(name) | e.SlotRead(name) | e.SlotsRead(name) | e.SharedRead(name):
                 found.append(name)

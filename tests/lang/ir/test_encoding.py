@@ -19,12 +19,13 @@ from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES, Signature
 from koordgen.lang.ir.encoding import HEADER, LAYOUTS, VERSION, WORDS, encode
 from koordgen.lang.ir.types import FLOAT, INT, STRING, MapOf, Sequence, Sized, list_of
-from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 from tests.agree.faults import rewritten
 from tests.agree.formulas import with_formulas
 from tests.lang.check.sound import TEXT
+from tests.lang.ir.everything import nodes
 
 ROOT = Path(__file__).parents[3]
 DIGESTS = Path(__file__).parent / "digests.txt"

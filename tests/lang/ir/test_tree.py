@@ -11,13 +11,14 @@ from koordgen.lang.ir import decl, expr, stmt, types
 from koordgen.lang.ir.tree import child_fields, children, map_children, statements, transform, walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, list_of
 from koordgen.lang.ir.verify_expr import _READERS as verifier
-from koordgen.lang.node import Node, nodes, replace
+from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics.eval import MEANINGS
 from koordgen.lang.semantics.exact import exact
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as written
 from koordgen.verify.prove.encode.expr import _READERS as prover
 from tests.agree.faults import rewritten
+from tests.lang.ir.everything import nodes
 from tests.lang.ir.test_encoding import KITCHEN, compiled, ir_classes
 
 AT = Span(7, 7, 7, 8)
