@@ -214,16 +214,16 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
 
 
 def supposing(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
-    """The program with an assumption about each of those that have a target, and these as it would write them."""
+    """The program with an assumption about each position to which an actuator sends the robot, and these as it would
+    write them."""
     modules, texts = {m.name: m for m in program.modules}, []
     for module, port in sensors:
-        ports = {p.name: p for p in module.ports}
-        target = ports.get("target")
-        if port.name != "position" or port.type != POINT or target is None or target.type != POINT:
+        goal = next((p.name for p in module.ports if p.meaning.held == port.name), None)
+        if not port.meaning.is_position or goal is None:
             continue
         span = port.span
         now, after = (ir.PortRead(module.name, port.name, primed, POINT, span) for primed in (False, True))
-        box = ir.Builtin("Rect", (now, ir.PortRead(module.name, "target", False, POINT, span)), RECT, span)
+        box = ir.Builtin("Rect", (now, ir.PortRead(module.name, goal, False, POINT, span)), RECT, span)
         formula = ir.Contains(after, box, BOOL, span)
         kept = modules[module.name]
         assumed = (*kept.assumptions, decl.Assumption(formula, span))
