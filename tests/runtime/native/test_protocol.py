@@ -21,7 +21,7 @@ needs_compiler = pytest.mark.skipif(not (COMPILER and HEADERS), reason="there is
 ROOT = Path(__file__).resolve().parents[3]
 ONE = ("koordgen.runtime.net.seal",)  # compiles in seconds
 NET = "tests/runtime/net"
-TESTS = (f"{NET}/test_link.py", f"{NET}/test_speech.py", f"{NET}/test_layout.py", "tests/runtime/replication")
+TESTS = (f"{NET}/test_layout.py", "tests/runtime/replication")
 MORE_TESTS = (NET, "tests/model", "tests/runtime/agent")
 SCRIPT = """
 import sys

@@ -53,7 +53,7 @@ def armed(action: Action) -> bool:
     return True
 
 
-@pytest.fixture(params=["ardupilot", "px4"])
+@pytest.fixture(params=["ardupilot", pytest.param("px4", marks=pytest.mark.slow)])
 def client(request: pytest.FixtureRequest) -> Iterator[tuple[Telemetry, Action, Offboard]]:
     """MAVSDK's views of an autopilot that flies in a process of its own."""
     command = [sys.executable, "-m", "tests.sim.autopilots.flown_alone", request.param, str(SPEED)]
