@@ -21,7 +21,7 @@ _DEEPEST = 12  # steps that brackets are broken into: Python reads no more than 
 
 
 class _Code(str):
-    """An expression's text in one line, and its parts. Whatever formats it gets a plain str, which is never broken."""
+    """Text of an expression in one line, and its parts. Formatting gives a plain str, which is never broken."""
 
     __slots__ = ("parts",)
     parts: Sequence[str]
@@ -79,7 +79,7 @@ def longer(first: str, last: str) -> str:
 
 
 def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
-    """Return `a if b else c` of the parts `a` and `if b`. `more`: what is otherwise is such an expression, too."""
+    """Return `a if b else c` from the parts `a` and `if b`. `more`: `otherwise` is such an expression, too."""
     if more and isinstance(otherwise, _Chain):
         return chain(*parts, joined("else ", otherwise.parts[0]), *otherwise.parts[1:])
     return chain(*parts, joined("else ", otherwise))

@@ -109,7 +109,7 @@ def _add_types(page: Page, program: ir.Program, names: Names) -> None:
         _add_record(page, record, program, names)
     if records:
         page.gap()
-        page.add("# How much a record may hold.")
+        page.add("# Size bounds of records.")
     for record in records:
         bounds = bound_of_record(record.type, names)
         page.add(joined(f"{names.bound(record.type.name, bounds)} = ", bounds))

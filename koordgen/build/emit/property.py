@@ -194,7 +194,7 @@ def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
     """Add the class of all that properties may read."""
     page.gap()
     page.add(f"class Fleet({names.use('Known')}):")
-    page.add(f'"""What the properties of {program.name} are evaluated on: all of every robot, at one moment."""', STEP)
+    page.add(f'"""State of all robots at one moment, for the properties of {program.name}."""', STEP)
     _add_init(page, names)
     for m, p in _ports(program, "sensor", "actuator"):
         _add_part(page, names.ports[m.name, p.name], "Each", p.type, f"{m.name}.{p.name}", names)
@@ -233,7 +233,7 @@ def _add_step(page: Page, program: ir.Program, names: Names) -> None:
         page.add(joined(f"self.{names.ports[m.name, p.name]}: ", held, f" = {value}"), STEP * 2)
     page.gap()
     page.add("class Step(Known):")
-    page.add('"""What an assumption is evaluated on: one robot\'s ports right after the program\'s step,', STEP)
+    page.add('"""Ports of one robot for assumptions: right after the program\'s step,', STEP)
     page.add('and at a later moment of the same round."""', STEP)
     _add_init(page, names)
     page.add("self.before = Ports(self)", STEP * 2)

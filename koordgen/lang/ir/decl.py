@@ -77,7 +77,7 @@ class SpecFunction(Node):
 
 
 class Meaning(Node):
-    """What a port means beside its value. The names are those of sensors of the same module.
+    """Meaning of a port beside its value. The names are those of sensors of the same module.
 
     `is_position`: the sensor, a Point, is where the robot itself is.
     `held`: the sensor whose value the actuator has before it is written, since an unset actuator holds; "" for the

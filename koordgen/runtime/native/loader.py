@@ -66,9 +66,8 @@ class Library:
         until = time.monotonic() + self.patience
         with _lock(cache) as take:
             while True:
-                ours = (
-                    take() or time.monotonic() >= until
-                )  # before the look: the process that had the lock may have left the library
+                # First the lock, then the look: the process that had the lock may have left the library.
+                ours = take() or time.monotonic() >= until
                 if (library := self._kept(cache)) is not None:
                     return library
                 if ours:

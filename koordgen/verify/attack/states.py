@@ -106,7 +106,7 @@ class States:
                 found[name] = pool[pid % len(pool)]
             else:
                 found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
-        for name, sensor in self.held.items():  # of a sensor that is not declared nothing tells the value
+        for name, sensor in self.held.items():  # the value of an undeclared sensor may be any
             found[name] = found[sensor] if sensor in found else self._elsewhere(name, blank, pid, attempt)
         robot = blank.robots[0]
         return robot._replace(ports={**robot.ports, **found})

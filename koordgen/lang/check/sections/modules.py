@@ -57,7 +57,7 @@ def _add(
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
-    """What the port's marks say; the usual of its name where there are none."""
+    """Return the meaning that the marks of a port give it; without marks, the usual one of its name."""
     if not node.marks:
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
@@ -77,7 +77,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
 
 
 def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
-    """Message, place and help where a port cannot have the mark."""
+    """Return message, place and help of the error if a port cannot have the mark."""
     if mark.word != "as":
         help = f"a command is an actuator's, and {port.name} is none"
         return None if port.direction == "actuator" else (f"'{mark.word}' belongs to an actuator", mark.span, help)

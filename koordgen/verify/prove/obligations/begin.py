@@ -21,7 +21,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
-    """What an event comes to: what it wrote, and the sensors that its commands clear."""
+    """Return the variables after an event: those that it wrote, and the sensors that its commands clear."""
     found = {key: value for key, value in writes.items() if key[0] != "wrote"}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():

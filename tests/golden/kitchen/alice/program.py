@@ -69,7 +69,7 @@ class Tray(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     None_: tuple[int, str] = (0, "")
 
 
-# How much a record may hold.
+# Size bounds of records.
 BOUND_CUP = Parts(
     items=(Fixed(bytes=28), Text(capacity=16), Fixed(bytes=9)), fields=("at", "name", "size")
 )

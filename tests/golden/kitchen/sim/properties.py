@@ -27,7 +27,7 @@ from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_he
 
 
 class Fleet(Known):
-    """What the properties of kitchen are evaluated on: all of every robot, at one moment."""
+    """State of all robots at one moment, for the properties of kitchen."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         super().__init__(n_sys, trail)
@@ -71,7 +71,7 @@ class Ports:
 
 
 class Step(Known):
-    """What an assumption is evaluated on: one robot's ports right after the program's step,
+    """Ports of one robot for assumptions: right after the program's step,
     and at a later moment of the same round."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
