@@ -1,4 +1,6 @@
-"""A simulated copter, ArduPilot's or PX4's: speaks MAVLink 2 to a robot's agent and flies a body."""
+"""Simulated copter autopilot (ArduPilot or PX4).
+
+Talks MAVLink 2 to an agent and flies a simulated body."""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ from targets.sim.base.ports import Port
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.upset import Upset
 
-REAL_BOOT = 42.0  # seconds of a cold start, as observed
-SPIN = math.radians(60)  # rad/s, as observed on a build with the fault that `Copter.spins` describes
+REAL_BOOT = 42.0  # seconds of a cold start, as measured on a real autopilot
+SPIN = math.radians(60)  # rad/s, as measured on a build with the fault that `Copter.spins` describes
 _SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -32,11 +34,13 @@ _HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
 
 
 class SimulatedAutopilot:
-    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `spool_up` (s, of an ArduPilot),
-    `firmware`, `version` (of ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an
-    error that wanders, as that of a real estimate does). The robot's own `positioning` says what its parameters were
-    set for: without a GPS of its own it believes what it is told. `copter` is its inner state, for tests and scenarios
-    to upset."""
+    """Device that stands in for an ArduPilot or PX4 autopilot.
+
+    Settings of the fleet file under the simulator: `boot` (seconds, or "real"), `spool_up` (s, ArduPilot only),
+    `firmware`, `version` (of ArduPilot; decides the names of parameters), `position_noise` (m, standard deviation of an
+    error that wanders, as the error of a real estimate does). The parameters are preset for the robot's own setting
+    `positioning`; without a GPS of its own, the autopilot relies on the positions that it receives. `copter` is the
+    inner state, which tests and scenarios may change."""
 
     def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
         self._body = body
@@ -44,8 +48,8 @@ class SimulatedAutopilot:
         self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mavlink.robust_parsing = True
         self._last: float | None = None
-        self._dead = False  # its process has aborted: silence, and no thrust
-        self.dropped = 0  # datagrams and messages that were damaged or not for us
+        self._dead = False  # true once its process has aborted: it is silent and gives no thrust
+        self.dropped = 0  # datagrams and messages that were damaged or addressed to another system
         harness = context.harness
         boot = harness.get("boot", 3.0)
         boot = REAL_BOOT if boot == "real" else _seconds("boot", boot, 600.0, ", or `real`")
@@ -58,7 +62,7 @@ class SimulatedAutopilot:
         self.copter.estimator = self._estimator = Estimator(
             params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
         )
-        self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
+        self._listed: deque[str] = deque()  # parameters still to be sent for PARAM_REQUEST_LIST
         self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
@@ -69,7 +73,9 @@ class SimulatedAutopilot:
     def _firmware(
         self, name: str, boot: float, spool_up: float, params: Parameters, upset: Upset
     ) -> tuple[Copter, Reports, Mapping[int, float]]:
-        """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
+        """Return the state machine of a firmware, its reports, and its default stream rates.
+
+        Raises BadScenario."""
         if name == "ardupilot":
             copter = Copter(boot, params, spool_up)
             return copter, Reports(copter, self._frame, upset), _HEARTBEATS
@@ -97,7 +103,7 @@ class SimulatedAutopilot:
         self._port.close()
 
     def _receive(self, now: float) -> bool:
-        """Obey what has come; False when that was the end."""
+        """Handle all received messages. Return False once the autopilot has aborted."""
         for datagram in self._port.receive():
             for message in self._decoded(datagram):
                 self._take(message, now)
@@ -113,7 +119,7 @@ class SimulatedAutopilot:
         guidance = copter.guidance
         if copter.landed:
             guidance.rest()
-            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
+            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # motors idle on the ground
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
             turning = guidance.turning(estimate.yaw, dt)
@@ -124,7 +130,7 @@ class SimulatedAutopilot:
         self._mavlink.buf_index = 0
         try:
             messages = self._mavlink.parse_buffer(datagram) or []
-        except Exception:  # generated code on hostile bytes
+        except Exception:  # pymavlink's generated code may raise anything on hostile bytes
             self.dropped += 1
             return []
         good = [m for m in messages if m.get_msgId() >= 0]
@@ -183,13 +189,13 @@ class SimulatedAutopilot:
                     self._answer_param(message.param_id)
 
     def _answer_param(self, name: str, index: int = -1) -> None:
-        """An unknown parameter never answers."""
+        """Send a PARAM_VALUE. An unknown parameter is not answered, as on a real autopilot."""
         told = self.copter.params.told(name, index)
         if told is not None:
             self._send(told)
 
     def _command(self, message: Message, now: float) -> int:
-        """A MAV_RESULT."""
+        """Execute a command and return its MAV_RESULT."""
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT:
             if message.command == mavlink.MAV_CMD_DO_REPOSITION:
                 return reposition(message, self.copter, self._frame, now)
@@ -208,7 +214,7 @@ class SimulatedAutopilot:
 
 
 def _version(text: str) -> str:
-    """What the setting `version` says. Raises BadScenario."""
+    """Return the setting `version` after a check. Raises BadScenario."""
     major, _, minor = text.removesuffix(DEVELOPMENT).partition(".")
     if not (major.isdecimal() and minor.isdecimal()):
         raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7 or 4.7-dev")
@@ -216,7 +222,7 @@ def _version(text: str) -> str:
 
 
 def _seconds(name: str, value: Any, most: float, words: str = "") -> float:
-    """What a setting says that takes seconds, 0 to `most`. Raises BadScenario."""
+    """Return a setting in seconds, 0 to `most`. Raises BadScenario."""
     try:
         seconds = float(value)
     except ValueError:

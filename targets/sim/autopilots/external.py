@@ -1,10 +1,9 @@
-"""The device of a quad whose autopilot is a real ArduPilot, run by the user: gives it the body as its vehicle.
+"""Device of a quad whose autopilot is a real ArduPilot that the user runs: simulates its vehicle.
 
-ArduPilot's own time is that of the states which it gets, so this is for real time only. ArduPilot adopts the rate at
-which states come (SIM_JSON.cpp), asks for 1 Hz more until it gets its SIM_RATE_HZ, and refuses to arm when its gyro is
-slower than 1.8 x SCHED_LOOP_RATE. So each step of the world gives it at least `LEAST_STATES` states, interpolated, and
-waits until it has answered the states of the step before.
-"""
+ArduPilot takes its time from the states that it receives, so this device works in real time only. ArduPilot adopts the
+rate at which states arrive (SIM_JSON.cpp), asks for 1 Hz more until it gets its SIM_RATE_HZ, and refuses to arm while
+its gyro is slower than 1.8 x SCHED_LOOP_RATE. So each step of the world sends at least `LEAST_STATES` interpolated
+states, after waiting until ArduPilot has answered the states of the previous step."""
 
 from __future__ import annotations
 
@@ -21,21 +20,21 @@ from targets.sim.base.ports import Port
 from targets.sim.physics.world import GRAVITY, STEP, Motion
 
 LOOPBACK = "127.0.0.1"
-MOST_AT_ONCE = 64  # frames that are read, or states that are sent, at once
-LEAST_STATES, MOST_STATES = 5, 16  # in one step of the world: rates of 1200 and 3840 a second
-PATIENCE = 0.1  # seconds, on the host's clock, that the world waits for a frame
-SILENT = 0.1  # seconds without a frame after which the state is told unasked: one of both was lost
-DEAD = 0.5  # seconds without a frame after which motors stop
+MOST_AT_ONCE = 64  # frames read, or states sent, in one go
+LEAST_STATES, MOST_STATES = 5, 16  # per step of the world: rates of 1200 and 3840 a second
+PATIENCE = 0.1  # seconds of the host's clock that the world waits for a frame
+SILENT = 0.1  # seconds without a frame after which the state is sent again: a frame or a state was lost
+DEAD = 0.5  # seconds without a frame after which the motors stop
 FULL, EMPTY = 12.6, 10.5  # volts, three cells
-CURRENT = 30.0  # amperes of all motors at full thrust
-# Motors of ArduCopter's quad X by their outputs: front right, rear left, front left, rear right; as the body has them.
+CURRENT = 30.0  # amperes of all motors together at full thrust
+# ArduCopter's quad X numbers its motors front right, rear left, front left, rear right. The body has another order.
 BODY_ORDER = (2, 1, 3, 0)  # front left, rear left, rear right, front right
 LOW, HIGH = 1000, 2000  # microseconds
 EXPO = 0.65  # the thrust curve that ArduPilot assumes by default: MOT_THST_EXPO
 
 
 class Body(Protocol):
-    """What this needs of a quadrotor."""
+    """Methods of a quadrotor body that this device uses."""
 
     def state(self) -> BodyState: ...
 
@@ -47,33 +46,35 @@ class Body(Protocol):
 
 
 class Link(Port, Protocol):
-    """A Port that can be waited for."""
+    """Port that can wait for a datagram."""
 
     def wait(self, seconds: float) -> bool:
-        """Return as soon as there is something to receive, after so many seconds at most; whether there is."""
+        """Wait at most `seconds` for a datagram. Return whether one has arrived."""
         ...
 
 
 class ExternalAutopilot:
-    """targets.sim.base.bodies.Device. Its agent talks to the autopilot itself, as its settings say. `resets` counts how
-    often it started anew, `lost` and `dropped` frames that never came or were none.
+    """Device that connects a real ArduPilot to its simulated body.
 
-    Of what is not as it should be: a frame of another magic or length is dropped; one with the count of the last is
-    answered with the present state, and nothing else comes of it, for ArduPilot repeats itself when it got no answer; a
-    count that is lower than the last tells that it has started anew: motors stop, and its time begins again."""
+    The agent talks to the autopilot directly, as its settings say. `resets` counts restarts of the autopilot, `lost`
+    frames that never arrived, `dropped` datagrams that are no frames (wrong magic or length).
+
+    A frame with the same count as the last one is a repetition: ArduPilot repeats a frame that got no answer. It is
+    answered with the present state and has no other effect. A count lower than the last one means that the autopilot
+    has restarted: the motors stop, and its time begins again."""
 
     def __init__(self, body: Body, context: DeviceContext, instance: int, link: Link | None = None) -> None:
-        """`instance` is ArduPilot's (-I). Raises OSError when its port is taken."""
+        """`instance` is ArduPilot's option -I. Raises OSError if its port is in use."""
         self._body, self._upset = body, context.upset
         self._link = link or Socket(json_link.PORT + json_link.PORT_STEP * instance)
         self.overrides: Mapping[str, Any] = {}
         self._last: Servos | None = None
         self._heard = self._told = self._began = -math.inf
-        self._ahead = 0  # states that it has not yet answered
-        self._answers = False  # it answered when it was last waited for
-        self._before: Vehicle | None = None  # what it was told last
+        self._ahead = 0  # states that the autopilot has not yet answered
+        self._answers = False  # whether it answered in time when the world last waited for it
+        self._before: Vehicle | None = None  # the last state sent
         self._velocity = body.motion().velocity
-        self._thrust = 0.0  # of all motors, a share
+        self._thrust = 0.0  # share of the full thrust of all motors
         self.resets = self.lost = self.dropped = 0
 
     def step(self, now: float) -> None:
@@ -95,8 +96,9 @@ class ExternalAutopilot:
             self._tell(self._states(self._last.rate, present), now)
 
     def _answered(self, now: float) -> str:
-        """As `_receive`, once it has answered all that it was told. A process that does not answer within `PATIENCE`
-        is not waited for again until it does."""
+        """Wait until the autopilot has answered all states sent. Return as `_receive` does.
+
+        A process that does not answer within `PATIENCE` is not waited for again until it answers."""
         found = self._receive(now)
         while self._ahead and self._answers:
             self._answers = self._link.wait(PATIENCE)
@@ -107,8 +109,10 @@ class ExternalAutopilot:
         return found
 
     def _states(self, wanted: int, present: Vehicle) -> list[Vehicle]:
-        """The present state, and those between the last one that it was told and this. `wanted` (Hz) is 1 more than it
-        got, or what it got: rounded up, the rate rises until that is enough."""
+        """Return the present state, after interpolated states that follow the last one sent.
+
+        `wanted` (Hz) is the rate that ArduPilot asks for: 1 more than it gets, or the rate that it gets. Rounded up, so
+        the rate rises until it suffices."""
         if self._before is None:
             return [present]
         in_step = max(LEAST_STATES, min(MOST_STATES, math.ceil(wanted * STEP)))
@@ -124,7 +128,7 @@ class ExternalAutopilot:
         self._before, self._told = states[-1], now
 
     def _receive(self, now: float) -> str:
-        """Take what has come: "new" when there are new outputs, "again" when one was repeated and none was new."""
+        """Read all frames. Return "new" for new outputs, "again" for repeated frames only, "" for none."""
         found = ""
         for datagram in self._link.receive():
             frame = json_link.servos(datagram)
@@ -147,7 +151,7 @@ class ExternalAutopilot:
         return found
 
     def _start(self, now: float) -> None:
-        """It starts, for the first time or anew."""
+        """Begin again: the autopilot has started or restarted."""
         self.resets += self._last is not None
         self._began, self._ahead, self._before = now, 0, None
         self._velocity = self._body.motion().velocity
@@ -165,13 +169,13 @@ class ExternalAutopilot:
 
 
 def _thrust(pwm: int) -> float:
-    """The share of a motor's most thrust."""
+    """Return a motor's thrust as a share of its full thrust."""
     command = min(1.0, max(0.0, (pwm - LOW) / (HIGH - LOW)))
     return (1 - EXPO) * command + EXPO * command * command
 
 
 class Socket:
-    """A Port at which the autopilot finds us, and that answers wherever its last frame came from."""
+    """Port that the autopilot sends to; answers go to the sender of its last frame."""
 
     def __init__(self, number: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -189,7 +193,7 @@ class Socket:
         while len(found) < MOST_AT_ONCE:
             try:
                 datagram, self._peer = self._socket.recvfrom(2048)
-            except ConnectionRefusedError:  # word that the autopilot is gone
+            except ConnectionRefusedError:  # the operating system reports that the autopilot is gone
                 continue
             except OSError:
                 break
@@ -206,7 +210,7 @@ class Socket:
             try:
                 self._socket.sendto(data, self._peer)
             except OSError:
-                return  # lost: it asks again
+                return  # lost; the autopilot will ask again
 
     def close(self) -> None:
         """See Port."""

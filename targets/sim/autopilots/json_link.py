@@ -1,9 +1,8 @@
-"""What passes between an ArduPilot in its SITL build and a simulation of its vehicle: ArduPilot's JSON interface.
+"""ArduPilot's JSON interface between its SITL build and a simulation of the vehicle.
 
-As libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp of ArduPilot have it: servo outputs come as binary frames,
-the vehicle's state goes back as a line of JSON between two line ends. Frames here: world is north, east, down about the
-fleet's origin; body is forward, right, down.
-"""
+Sources: libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp of ArduPilot. Servo outputs arrive as binary frames.
+The vehicle's state is sent back as one line of JSON between two line ends. Frames here: world is NED about the fleet's
+origin; body is FRD (forward, right, down)."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from targets.sim.base.bodies import Vector
 from targets.sim.physics.world import Motion
 
-PORT, PORT_STEP = 9002, 10  # of the first instance, and from one to the next
+PORT, PORT_STEP = 9002, 10  # of the first instance, and the distance from one instance to the next
 MAGIC_16, MAGIC_32 = 18458, 29569
 _HEAD = struct.Struct("<HHI")
 _CHANNELS = {MAGIC_16: struct.Struct("<HHI16H"), MAGIC_32: struct.Struct("<HHI32H")}
@@ -25,8 +24,10 @@ Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 @dataclass(frozen=True, slots=True)
 class Servos:
-    """One frame of outputs. `rate` is how many states a second the autopilot wants; `count` goes up with each state
-    that it received, and starts anew with the autopilot; `pwm` in microseconds, 16 or 32 channels."""
+    """One frame of servo outputs.
+
+    `rate`: states a second that the autopilot wants. `count`: goes up with each state that the autopilot received, and
+    restarts with the autopilot. `pwm`: microseconds, 16 or 32 channels."""
 
     rate: int
     count: int
@@ -35,8 +36,10 @@ class Servos:
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """The truth, at `time` (s): gyro (rad/s) and specific force (m/s^2) in the body's frame; position (m), velocity
-    (m/s) and attitude in the world's."""
+    """True state of a vehicle at `time` (s).
+
+    Angular rate `gyro` (rad/s) and specific force `force` (m/s^2) are in the body frame; position (m), velocity (m/s)
+    and attitude in the world frame."""
 
     time: float
     gyro: Vector
@@ -47,7 +50,7 @@ class Vehicle:
 
 
 def servos(datagram: bytes) -> Servos | None:
-    """None for what is no such frame: another magic, or another length than it stands for."""
+    """Decode a frame. Return None for an unknown magic or a length that does not fit the magic."""
     if len(datagram) < _HEAD.size:
         return None
     form = _CHANNELS.get(_HEAD.unpack_from(datagram)[0])
@@ -58,9 +61,11 @@ def servos(datagram: bytes) -> Servos | None:
 
 
 def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
-    """The state as the autopilot reads it. Angles go along with the quaternion, which older versions do not know."""
+    """Encode a state as a line of JSON.
+
+    It has angles besides the quaternion: older versions read only angles."""
     told = {
-        "timestamp": round(vehicle.time, 12),  # of whose differences it makes a rate, in single precision
+        "timestamp": round(vehicle.time, 12),  # ArduPilot computes a rate from differences, in single precision
         "imu": {"gyro": _rounded(vehicle.gyro), "accel_body": _rounded(vehicle.force)},
         "position": _rounded(vehicle.position),
         "attitude": _rounded(angles(vehicle.attitude)),
@@ -76,8 +81,10 @@ def _rounded(values: tuple[float, ...]) -> list[float]:
 
 
 def vehicle(motion: Motion, reference: Vector, before: Vector, gravity: float, step: float, time: float) -> Vehicle:
-    """From a body's motion in ENU; `reference` is its reference point, `before` its velocity `step` seconds ago: what
-    gravity does not account for is the specific force."""
+    """Convert a body's motion from ENU.
+
+    `reference` is the body's reference point, `before` its velocity `step` seconds ago. The specific force is the
+    measured acceleration less gravity."""
     x, y, z, w = motion.orientation
     attitude = _turned((w, x, y, z))
     east, north, up = motion.velocity
@@ -89,7 +96,7 @@ def vehicle(motion: Motion, reference: Vector, before: Vector, gravity: float, s
 
 
 def between(a: Vehicle, b: Vehicle, share: float) -> Vehicle:
-    """A share of the way from one state to the next; the force is the one that leads there."""
+    """Interpolate between two states. The specific force is that of `b`: it is the one that leads there."""
     attitude = _mixed(a.attitude, b.attitude, share)
     size = math.sqrt(sum(v * v for v in attitude))
     w, x, y, z = (v / size for v in attitude)
@@ -100,7 +107,7 @@ def between(a: Vehicle, b: Vehicle, share: float) -> Vehicle:
 
 
 def angles(q: Quaternion) -> Vector:
-    """Roll, pitch and yaw (rad) of an attitude."""
+    """Return roll, pitch and yaw (rad) of an attitude."""
     w, x, y, z = q
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
@@ -108,7 +115,7 @@ def angles(q: Quaternion) -> Vector:
 
 
 def into(v: Vector, q: Quaternion) -> Vector:
-    """A vector of the world in the body's frame."""
+    """Rotate a vector from the world frame into the body frame."""
     w, x, y, z = q
     tx, ty, tz = 2 * (v[1] * z - v[2] * y), 2 * (v[2] * x - v[0] * z), 2 * (v[0] * y - v[1] * x)
     return (
@@ -119,8 +126,9 @@ def into(v: Vector, q: Quaternion) -> Vector:
 
 
 def _turned(q: Quaternion) -> Quaternion:
-    """An attitude of a body (forward, left, up) in ENU, as one of the body (forward, right, down) in NED: half a turn
-    about the line between north and east before, and one about the body's own axis after."""
+    """Convert an attitude from FLU in ENU to FRD in NED.
+
+    Half a turn about the line between north and east first, then half a turn about the body's own forward axis."""
     w, x, y, z = _product(_product((0.0, _HALF, _HALF, 0.0), q), (0.0, 1.0, 0.0, 0.0))
     return (w, x, y, z) if w >= 0 else (-w, -x, -y, -z)
 

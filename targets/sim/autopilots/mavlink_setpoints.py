@@ -1,9 +1,8 @@
-"""Reads SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED the way ArduPilot's guided mode does.
+"""Decoder of SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED that follows ArduPilot's guided mode.
 
-Position, velocity and acceleration are used whole or not at all, and an acceleration only with a velocity (one alone is
-not simulated); a frame or mask that is none stops the vehicle; on the ground everything is dropped in silence; a
-position that is not finite aborts the autopilot.
-"""
+Position, velocity and acceleration are used whole or not at all, and an acceleration only with a velocity. (ArduPilot
+also accepts an acceleration alone; this is not simulated.) An unknown frame or mask stops the vehicle. On the ground
+every setpoint is dropped silently. A position that is not finite aborts the autopilot."""
 
 from __future__ import annotations
 
@@ -21,13 +20,13 @@ FORCE, NO_YAW, NO_YAW_RATE = 0x200, 0x400, 0x800
 AMSL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 LOCAL = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED)  # about the EKF's origin
-OFFSET = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # about where the vehicle is
+OFFSET = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # about the vehicle's position
 BODY = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # x forward, for offsets and velocities
 AIMS = {(True, False): Aim.POSITION, (False, True): Aim.VELOCITY, (True, True): Aim.POSITION_VELOCITY}
 
 
 def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: float) -> bool:
-    """Change the copter's aim as the message says. False when it has killed the autopilot."""
+    """Apply a setpoint to the copter's guidance. Return False if it has aborted the autopilot."""
     copter.heard_setpoint(now)
     estimate, ekf = copter.estimator.estimate, copter.estimator.origin
     if not copter.following or ekf is None:
@@ -56,7 +55,7 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
 
 
 def reposition(message: Message, copter: Copter, frame: LocalFrame, now: float) -> int:
-    """DO_REPOSITION in a COMMAND_INT: go there and stay. A MAV_RESULT."""
+    """Execute DO_REPOSITION in a COMMAND_INT: fly there and hold. Return a MAV_RESULT."""
     if message.frame not in AMSL + ABOVE_HOME or not math.isfinite(message.z) or not math.isfinite(message.param2):
         return DENIED
     altitude = message.z + (_home_altitude(copter, frame) if message.frame in ABOVE_HOME else 0.0)
@@ -70,7 +69,9 @@ def _home_altitude(copter: Copter, frame: LocalFrame) -> float:
 
 
 def _uses(mask: int) -> tuple[bool, bool] | None:
-    """Whether position and velocity are used; None when a part of a group is, or acceleration without velocity."""
+    """Return whether position and velocity are used.
+
+    None for an invalid mask: a part of a group, or an acceleration without velocity."""
     ignored = [mask & group for group in (NO_POSITION, NO_VELOCITY, NO_ACCELERATION)]
     whole = all(i in (0, group) for i, group in zip(ignored, (NO_POSITION, NO_VELOCITY, NO_ACCELERATION), strict=True))
     uses = not ignored[0], not ignored[1]
@@ -94,7 +95,7 @@ def _local(message: Message, copter: Copter, frame: LocalFrame, ekf: LocalFrame)
 
 
 def _turned(message: Message, x: float, y: float, z: float, yaw: float) -> Vector:
-    """A vector of the message's frame, NED or forward-right-down, in ENU."""
+    """Convert a vector from the message's frame (NED or FRD) to ENU."""
     if message.coordinate_frame not in BODY:
         return y, x, -z
     return x * math.cos(yaw) + y * math.sin(yaw), x * math.sin(yaw) - y * math.cos(yaw), -z

@@ -1,9 +1,9 @@
-"""Devices of robots of fidelity `simple`: nothing stands between the agent's platform and the body.
+"""Devices of robots of fidelity `simple`: bodies commanded without an autopilot.
 
-The platform that the agent gets for such a robot asks the device here, which is the body with the errors of positions,
-and with what a robot does whose agent has fallen silent: a quad stops, and lands later; a car brakes. In lockstep it
-asks directly; in real time by datagrams, from a process of its own (simple_agent.py).
-"""
+For such a robot the agent's platform reads its position from a device here and commands the body through it. The device
+adds errors of positions. It also does what a robot does whose agent has fallen silent: a quad stops, and lands later; a
+car brakes. In lockstep the platform calls the device. In real time they exchange datagrams between processes
+(simple_agent.py)."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from targets.sim.base.bodies import Asked, BodyState, DeviceContext, Vector
 from targets.sim.base.ports import Loopback
 from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
 
-HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad stops, and lands, as an autopilot does
+HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad hovers, and later lands, as an autopilot does
 BRAKING = 0.15  # s without a command after which a car brakes, as its watchdog does
 SINKING, GROUND = 0.5, 0.02  # m/s, m
-TOLD_EVERY = 0.02  # s
+TOLD_EVERY = 0.02  # s between two positions sent to the agent
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Asked).decode
 
 
 class Direct(ABC):
-    """targets.sim.base.bodies.Device. `platform` makes the agent's, in this process."""
+    """Device between an agent's platform and a simulated body, without an autopilot."""
 
-    module: ClassVar[str]  # that has the platform, with a function `inside` that makes it in lockstep
-    member: ClassVar[str]  # its class
-    takes: ClassVar[Mapping[str, int]]  # what may be asked of the body, and how many numbers come with it
+    module: ClassVar[str]  # module of the platform; its function `inside` creates the platform in lockstep
+    member: ClassVar[str]  # the platform's class
+    takes: ClassVar[Mapping[str, int]]  # commands of the body -> number of their arguments
 
     def __init__(self, body: SimpleQuadrotor | SimpleCar, context: DeviceContext) -> None:
         self._seen = body
@@ -46,16 +46,16 @@ class Direct(ABC):
 
     @property
     def agent(self) -> tuple[str, str] | None:
-        """What simple_agent.py is to be told: the platform, and the port."""
+        """Platform and port to pass to simple_agent.py; None in lockstep."""
         return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
-        """See koordgen.runtime.vehicle.inside."""
+        """Create the agent's platform in this process. See koordgen.runtime.vehicle.inside."""
         make: Callable[..., Any] = importlib.import_module(self.module).inside
         return make(settings, key, inside, self)
 
     def state(self) -> BodyState | None:
-        """Where the body is taken to be; None: that is not known now."""
+        """Return the measured state of the body; None while there is no position."""
         truth = self._upset.late(self._now, self._seen.state())
         place = self._upset.measured(truth.position, self._noise, self._dice)
         return None if place is None else BodyState(place, truth.velocity, truth.yaw, truth.yaw_rate)
@@ -83,7 +83,7 @@ class Direct(ABC):
 
     @abstractmethod
     def ask(self, what: str, values: tuple[float, ...]) -> None:
-        """Pass on what the agent asks of the body."""
+        """Pass a command of the agent on to the body."""
 
     def close(self) -> None:
         """See Device."""
@@ -92,7 +92,7 @@ class Direct(ABC):
 
 
 class DirectQuad(Direct):
-    """Flies as its platform says."""
+    """Device of a simple quad."""
 
     module, member = "targets.quad.platform.simple", "SimpleQuad"
     takes: ClassVar = {"fly": 4, "motors": 1}
@@ -131,7 +131,7 @@ class DirectQuad(Direct):
 
 
 class DirectCar(Direct):
-    """Drives as its platform says."""
+    """Device of a simple car."""
 
     module, member = "targets.car.platform.simple", "SimpleCar"
     takes: ClassVar = {"drive": 2, "brake": 1}

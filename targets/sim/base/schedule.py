@@ -1,8 +1,7 @@
-"""The schedule of a run's faults: what a scenario file says, typed, and what is wrong with one.
+"""Schedule of a run's faults: reads a scenario file and reports its mistakes.
 
-`read` is all that a scenario file has to pass, whoever reads it: the compiler's command line, which knows lines and
-columns, or a bundle, which is handed the same as JSON. Times are t, seconds since the start of round 1.
-"""
+`read` checks plain data for both callers: the compiler's command line, which adds lines and columns, and a bundle,
+which receives JSON. Times are t, in seconds since the start of round 1."""
 
 from __future__ import annotations
 
@@ -27,20 +26,23 @@ Kind = Literal[
     "wind", "obstacle",
 ]  # fmt: skip
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LASTING = ("partition",)  # need `for`
-MOMENTARY = ("restore", "restart", "continue", "battery", "obstacle")  # know none
+LASTING = ("partition",)  # kinds that require `for`
+MOMENTARY = ("restore", "restart", "continue", "battery", "obstacle")  # kinds without `for`
 ENDS: Mapping[Kind, Kind] = {"restart": "crash", "continue": "freeze", "restore": "cut"}
 NETWORKED = ("partition", "cut", "restore", "network")
 PROBABILITIES = ("loss", "duplication", "reordering")
 CONDITIONS = ("loss", "delay", "jitter", "duplication", "reordering")
 MOST_SECONDS = 86_400.0
-MOST_DELAY = 10.0  # seconds of delay and of jitter
-DURATION = 30.0  # seconds of a run, unless it is asked for another
+MOST_DELAY = 10.0  # seconds, of delay and of jitter
+DURATION = 30.0  # seconds of a run without --duration
 LONGER = "ask for a longer --duration, or leave it out"
 
 
 class Mistake(msgspec.Struct, frozen=True):
-    """`path` leads to what is wrong (`at_key`: its key is), `code` says how, as the compiler's catalogue has it."""
+    """A mistake in a scenario file.
+
+    `path` leads to the wrong part (with `at_key`, to its key). `code` is from the compiler's catalogue of
+    diagnostics."""
 
     code: str
     path: Path
@@ -50,22 +52,24 @@ class Mistake(msgspec.Struct, frozen=True):
 
 
 class Link(msgspec.Struct, frozen=True):
-    """One direction between two robots, and of its conditions those that are not the others'."""
+    """Conditions of one direction between two robots: `given` overrides those of all links."""
 
     sender: str
     receiver: str
     given: dict[str, float]
 
     def over(self, network: Conditions) -> Conditions:
-        """Its conditions, where all others have those of `network`."""
+        """Return the link's conditions, given those of all links."""
         return dataclasses.replace(network, **self.given)
 
 
 class Event(msgspec.Struct, frozen=True):
-    """One fault, from `at` for `lasts` seconds (None: until the next of its kind; a crash, a freeze and a cut until the
-    event that ENDS it). `robots` are those that it concerns; of the others only those of its kind are set: the groups
-    that hear one another, the level (a part of 1), the lag (s), the conditions of all links, the number of an obstacle
-    and the vector by which it moves (m, ENU)."""
+    """One fault, from `at` for `lasts` seconds.
+
+    `lasts` is None for a fault until the next of its kind; a crash, a freeze or a cut lasts until the event that ENDS
+    it. `robots` are those concerned. Of the other fields, only those of the kind are set: groups of a partition,
+    battery level (a part of 1), lag (s), conditions of all links, number of an obstacle and the vector by which it
+    moves (m, ENU)."""
 
     kind: Kind
     at: float
@@ -82,14 +86,16 @@ class Event(msgspec.Struct, frozen=True):
 
     @property
     def end(self) -> float:
-        """Until when nothing else of its kind may begin."""
+        """Earliest time at which another fault of the same kind may begin."""
         if self.lasts is None:
             return math.inf if self.kind in ENDS.values() else self.at
         return self.at + self.lasts
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """`network` are the conditions of all links but those of `links`; None: nothing is said of the network."""
+    """Faults of a run.
+
+    `network` holds the conditions of all links except `links`; None if the file has none."""
 
     network: Conditions | None = None
     links: tuple[Link, ...] = ()
@@ -97,13 +103,16 @@ class Schedule(msgspec.Struct, frozen=True):
 
     @property
     def networked(self) -> bool:
-        """Whether anything is done to what robots send one another."""
+        """True if the schedule affects datagrams between robots."""
         return self.network is not None or bool(self.links) or any(e.kind in NETWORKED for e in self.events)
 
 
 def read(data: Any, robots: Sequence[str], duration: float = math.inf) -> tuple[Schedule, list[Mistake]]:
-    """The schedule that plain data (as of JSON) is, for a fleet of these names and a run of so many seconds; what it
-    says wrong is left out of it, and told."""
+    """Read a schedule from plain data (as of JSON).
+
+    It is for a fleet with these names and a run of `duration` seconds.
+
+    Returns the schedule without its wrong parts, and the mistakes."""
     form = _Form(robots)
     top = form.table(data, (), "the scenario", (), ("network", "links", "events"))
     network = Conditions(**form.conditions(top["network"], ("network",), "network")) if "network" in top else None
@@ -122,12 +131,14 @@ def read(data: Any, robots: Sequence[str], duration: float = math.inf) -> tuple[
 
 
 def too_late(event: Event, duration: float) -> str:
-    """Why a run of so many seconds cannot have an event: one that never comes would pass for one that was survived."""
+    """Return the message for an event after the run's end.
+
+    It is refused, for it would pass as a fault survived."""
     return f"the {event.kind} at {event.at:g} s would come after the run's end, at {duration:g} s"
 
 
 class _Form:
-    """Takes plain data apart. A part that is wrong is told once, and stands in as None or a default."""
+    """Parser of plain data. A wrong part is reported once and replaced by None or a default."""
 
     def __init__(self, robots: Sequence[str]) -> None:
         self._robots = tuple(robots)
@@ -189,7 +200,7 @@ class _Form:
         return None
 
     def conditions(self, data: Any, path: Path, what: str, more: Sequence[str] = ()) -> dict[str, float]:
-        """Those that are given; `more`: keys of the same table that are somebody else's."""
+        """Return the conditions given in a table; `more` names other keys that the table may have."""
         found = {}
         for key, value in self.table(data, path, what, more, CONDITIONS).items():
             if key in CONDITIONS:
@@ -246,7 +257,7 @@ class _Form:
         return None if event is None or self._within(path) else event
 
     def _within(self, path: Path) -> bool:
-        """Whether something in there was told already."""
+        """Return whether a mistake inside `path` was already reported."""
         return any(mistake.path[: len(path)] == path for mistake in self.mistakes)
 
     def _filled(self, event: Event, data: Any, path: Path, what: str) -> Event | None:
@@ -297,12 +308,12 @@ class _Form:
                     names.append(name)
             found.append(tuple(names))
         if not self._within(path) and len(found) + (len(seen) < len(self._robots)) < 2:
-            hint = "name two groups at least, such as [[ann, bob], [cem]]; who is in none is alone"
+            hint = "name at least two groups, such as [[ann, bob], [cem]]; a robot in no group is alone"
             self.tell("F005", path, f"{what} parts nobody from anybody", hint)
         return tuple(found)
 
     def _pair(self, data: Any, path: Path, what: str) -> tuple[str, str] | None:
-        """Two robots of this fleet."""
+        """Return two different robots of this fleet, or None."""
         if not isinstance(data, list) or len(data) != 2:
             self.tell("F004", path, f"{path[-1]} of {what} must be two robots, such as [ann, bob]")
             return None
@@ -344,7 +355,7 @@ class _Form:
         return Wind(**{key: value for key, value in found.items() if value is not None})
 
     def clashes(self, events: Sequence[Event | None]) -> None:
-        """Two faults of one kind on one robot or one pair at a time; crashes of a robot that is gone."""
+        """Report two faults of one kind at a time on one robot or pair, and crashes of a crashed robot."""
         known = [(number, event) for number, event in enumerate(events) if event is not None]
         known.sort(key=lambda pair: pair[1].at)
         busy: dict[tuple[str, str], tuple[int, Event]] = {}
@@ -368,7 +379,7 @@ class _Form:
 
 
 def _subjects(event: Event) -> tuple[str, ...]:
-    """Object that an event acts on. Of one kind of event, only one at a time may act on an object."""
+    """Return the objects that an event acts on. Only one event of a kind at a time may act on an object."""
     match event.kind:
         case "partition" | "wind" | "network":
             return ("",)

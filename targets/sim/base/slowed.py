@@ -1,4 +1,4 @@
-"""A body whose motors and servos are slower than usual, by how much its robot is upset."""
+"""Degraded actuators: a body whose motors and servos respond more slowly than usual."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ Command = tuple[float, ...]
 
 
 class Slowed:
-    """Stands before a body (any of `bodies`): what is asked of it comes with a first-order lag of `upset.lag` seconds,
-    all else at once. `clock` tells the world's time."""
+    """Wrapper of a body that delays commands by a first-order lag of `upset.lag` seconds.
+
+    Everything else passes without delay. `clock` returns the world's time."""
 
     def __init__(self, body: Any, upset: Upset, clock: Callable[[], float]) -> None:
         self._body, self._upset, self._clock = body, upset, clock
-        self._given: dict[str, tuple[float, Command]] = {}  # when, and what, by command
+        self._given: dict[str, tuple[float, Command]] = {}  # command -> time and value that the body last received
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._body, name)

@@ -1,4 +1,4 @@
-"""The clock, the agents and the stage of a run that follows a counterexample: lockstep, with bodies that are set."""
+"""Lockstep run that replays a counterexample: bodies and events are set by a plan."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from targets.sim.lockstep.run import Lockstep
 from targets.sim.lockstep.shares import Shares
 from targets.sim.run.stage import Actor, Stage, Watch
 
-EVERYWHERE = 1e9  # metres
+EVERYWHERE = 1e9  # metres; a geofence of this size never acts
 
 
 class Follow(Lockstep):
-    """Lockstep along a plan."""
+    """Lockstep clock and agents of a run along a plan."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int, guide: Guide) -> None:
         self.guide = guide
         super().__init__(scenario, root, folder, seed)
 
     def check(self, scenario: Scenario) -> None:
-        """Nothing of the targets runs here."""
+        """Accept every scenario: no platform of a target runs here."""
 
     def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
         return Follower(robot, folder, shared, self.guide)
@@ -44,14 +44,14 @@ class Follow(Lockstep):
 
 
 class Follower(Resident):
-    """An agent whose events, sensors and callable ports are the plan's. All else is its own."""
+    """Agent whose events, sensors and callable ports come from the plan; all other parts are its own."""
 
     def __init__(self, robot: Robot, folder: Path, shared: Shared, guide: Guide) -> None:
         self._guide = guide
         super().__init__(robot, folder, shared)
 
     def poll(self, now: float) -> None:
-        """See Resident. An agent is polled at the very beginning of each of its rounds."""
+        """Poll the agent, as LockstepAgent does. It is polled at the very beginning of each of its rounds."""
         super().poll(now)
         self._guide.began(self._round(), now)
 
@@ -69,7 +69,7 @@ class Follower(Resident):
         far = [EVERYWHERE] * 3
         fence = {"lo": [-x for x in far], "hi": far}
         named = json.loads((self._shared.root / self.robot.bundle / "settings.json").read_bytes()).get("monitors", {})
-        monitors = dict.fromkeys([*named, "default"], "log")  # what they find must not end the run
+        monitors = dict.fromkeys([*named, "default"], "log")  # a violation found by its monitors must not end the run
         return {**super()._overrides(actor), "geofence": fence, "avoid": "", "monitors": monitors}
 
     def _opened(self) -> Told:
@@ -77,7 +77,7 @@ class Follower(Resident):
 
 
 class Marked(Told):
-    """Says in the trace's header what was followed."""
+    """Trace file whose header names the kind of counterexample that is replayed."""
 
     def __init__(self, file: IO[bytes], shares: Shares, kind: str) -> None:
         super().__init__(file, shares)
@@ -89,7 +89,7 @@ class Marked(Told):
 
 
 class Unmoved:
-    """A Device, and its body, of a robot that a plan sets."""
+    """Device and body of a robot that the plan places."""
 
     overrides: ClassVar[Mapping[str, Any]] = {}
 
@@ -101,7 +101,7 @@ class Unmoved:
 
 
 class PlacedStage(Stage):
-    """A stage without physics: bodies are where the plan has them, and touch nothing."""
+    """Simulation scene without physics: bodies are where the plan has them, and touch nothing."""
 
     def __init__(self, scenario: Scenario, guide: Guide) -> None:
         unmoved: Any = Unmoved()

@@ -1,8 +1,7 @@
-"""Wires in memory between simulated devices and agents that live in the same process.
+"""Connections in memory between simulated devices and agents of the same process.
 
-A device's end is a `ports.Port` or a `ports.Terminal`; the agent's is opened by the number or the name that the device
-has told, as a real one is, and is dead from the moment at which its agent has crashed.
-"""
+The device's end is a `ports.Port` or a `ports.Terminal`. The agent opens the other end by the number or name that the
+device reports, as with a real one. After a crash of the agent, its end is dead."""
 
 from __future__ import annotations
 
@@ -11,14 +10,14 @@ from collections.abc import Callable
 
 from koordgen.runtime.vehicle.platform import Unready
 
-# What a socket's buffer of Linux holds of such datagrams: what comes beyond it is lost.
+# Datagrams that wait at one end, as many as a Linux socket buffer holds. Further ones are lost.
 MOST_WAITING = 256
-EPOCH = 1_750_000_000.0  # the time of day, in seconds since 1970, at which every run in lockstep begins
-ROOM = 4096  # bytes that a serial line holds
+EPOCH = 1_750_000_000.0  # time of day at which every lockstep run begins, in seconds since 1970
+ROOM = 4096  # bytes that a serial line buffers
 
 
 class Line:
-    """A device's port and what is under way on it: `targets.sim.base.ports.Port`."""
+    """Datagram port of a device, in memory. Implements `targets.sim.base.ports.Port`."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -40,7 +39,7 @@ class Line:
         self._end = None
 
     def opened(self) -> LineEnd:
-        """A new end for the agent. Raises Unready when another has it."""
+        """Return a new end for the agent. Raises Unready if another agent has one."""
         if self._end is not None:
             raise Unready(f"port {self.number} is in use")
         self._to_agent.clear()
@@ -62,8 +61,9 @@ class Line:
 
 
 class LineEnd:
-    """Implements `koordgen.runtime.vehicle.inside.Exchange`. It can be written to after the agent's death, as
-    CableEnd."""
+    """Agent's end of a MemoryPort. Implements `koordgen.runtime.vehicle.inside.Exchange`.
+
+    It can still be written to after the agent's death, as a serial line's end can."""
 
     def __init__(self, line: Line) -> None:
         self._line = line
@@ -79,8 +79,9 @@ class LineEnd:
 
 
 class Cable:
-    """A serial line: `targets.sim.base.ports.Terminal`, and the agent's `koordgen.runtime.vehicle.inside.Stream` by
-    `opened`."""
+    """Serial line of a device, in memory.
+
+    Implements `targets.sim.base.ports.Terminal`; agents use `opened`."""
 
     def __init__(self, device: str) -> None:
         self.device = device
@@ -101,8 +102,9 @@ class Cable:
         self._end = None
 
     def opened(self) -> CableEnd:
-        """A new end for the agent. What an agent before it did not read is still there, as on a real line. Raises
-        Unready when another has it."""
+        """Return a new end for the agent. Raises Unready if another agent has one.
+
+        Bytes that an earlier agent did not read are still there, as on a real line."""
         if self._end is not None:
             raise Unready(f"cannot open {self.device}: another program has it")
         self._end = CableEnd(self)
@@ -125,8 +127,9 @@ class Cable:
 
 
 class CableEnd:
-    """Implements `koordgen.runtime.vehicle.inside.Stream`. It can be written to after the agent's death: its watchdog
-    holds it, too."""
+    """Agent's end of a serial line. Implements `koordgen.runtime.vehicle.inside.Stream`.
+
+    It can still be written to after the agent's death: the car's watchdog uses it, too."""
 
     def __init__(self, cable: Cable) -> None:
         self._cable = cable
@@ -145,8 +148,9 @@ class CableEnd:
 
 
 class Hub:
-    """All wires of a run: `targets.sim.base.ports.Wiring`, and what agents open. Numbers count from 1, in the order in
-    which devices are made."""
+    """All connections of a run, on both sides. Implements `targets.sim.base.ports.Wiring`.
+
+    Ports are numbered from 1 in the order of creation."""
 
     def __init__(self) -> None:
         self._lines: dict[int, Line] = {}
@@ -163,22 +167,25 @@ class Hub:
         return cable
 
     def line(self, url: str) -> Line:
-        """The device's port that "udp:HOST:PORT" or "udpin:HOST:PORT" names. Raises Unready."""
+        """Return the device's port for "udp:HOST:PORT" or "udpin:HOST:PORT". Raises Unready."""
         number = url.rpartition(":")[2]
         if not number.isdecimal() or int(number) not in self._lines:
             raise Unready(f"no simulated device is at {url}")
         return self._lines[int(number)]
 
     def cable(self, device: str) -> Cable:
-        """Raises Unready."""
+        """Return the serial line of a device. Raises Unready."""
         if device not in self._cables:
             raise Unready(f"there is no simulated device {device}")
         return self._cables[device]
 
 
 class Surroundings:
-    """Implements `koordgen.runtime.vehicle.inside.Inside` for one start of one agent. `steps` are called with each step
-    of the world."""
+    """Services of the process for one start of one agent.
+
+    Implements `koordgen.runtime.vehicle.inside.Inside`.
+
+    `steps` are called at each step of the world."""
 
     def __init__(self, hub: Hub, clock: Callable[[], float], seed: int, iterations: int) -> None:
         self._hub = hub
@@ -207,6 +214,6 @@ class Surroundings:
         self.steps.append(step)
 
     def cut(self) -> None:
-        """The agent is gone: what it had opened is free."""
+        """Close all that the agent had opened, after its end."""
         for end in self._opened:
             end.close()

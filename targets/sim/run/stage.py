@@ -1,4 +1,6 @@
-"""The stage: a scenario's bodies and devices in one world, stepped together and watched for what must not happen."""
+"""Simulation scene.
+
+Bodies and devices of a scenario in one world, stepped together and checked for contacts."""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ from targets.sim.sensing.station import SimulatedFeed, fed
 
 
 class Body(Protocol):
-    """What the stage needs of every body; devices know more."""
+    """Methods of a body that the scene uses; devices use more of them."""
 
     rigid: Rigid
 
@@ -50,14 +52,14 @@ def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
     return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
 
 
-# What a target's [simulation] table may name. Devices are imported when a robot needs them.
+# Names that a target's [simulation] table may use. Devices are imported only when a robot needs them.
 BODIES: dict[str, Callable[[World, Robot, Mapping[str, Any]], Body]] = {"quadrotor": _quadrotor, "car": _car}
 DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilots.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.autopilots.drive:simulated",
 }
 
-# ... and those of robots of fidelity `simple`, by their body.
+# Devices of robots of fidelity `simple`, by their body.
 SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": DirectQuad, "car": DirectCar}
 
 Clock = Callable[[], float]
@@ -65,12 +67,12 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True, slots=True)
 class Actor:
-    """One robot's simulated half."""
+    """Simulated part of one robot: body, device and sensors."""
 
     robot: Robot
     body: Body
     device: Device
-    sensors: tuple[Device, ...]  # lidar and position feed, for robots that have a setting for them
+    sensors: tuple[Device, ...]  # lidar and position feed, if the robot has settings for them
     upset: Upset
 
     @property
@@ -79,13 +81,13 @@ class Actor:
 
     @property
     def overrides(self) -> dict[str, Any]:
-        """What is laid over the robot's settings, so that its agent finds the devices."""
+        """Settings that override the robot's own, so that its agent finds the devices."""
         return {key: value for device in self.devices for key, value in device.overrides.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Closest:
-    """The separation of two robots at a time: metres, seconds, pids."""
+    """Distance of two robots at a time: metres, seconds, pids."""
 
     distance: float = math.inf
     time: float = 0.0
@@ -94,14 +96,18 @@ class Closest:
 
 @dataclass(slots=True)
 class Watch:
-    """What was seen of all pairs of robots, at every step. Separation is the distance in space of the robots' reference
-    points: those that they call their positions. Times are those that `Stage.step` was told."""
+    """Separation and contacts of all robots, checked at every step.
+
+    Separation is the distance in space between the robots' reference points, which are their positions. Times are those
+    passed to `SimulationScene.step`."""
 
     min_separation: float
     closest: Closest = Closest()
-    too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # each pair's first time
-    collisions: dict[tuple[int, int], float] = field(default_factory=dict)  # pair of pids -> the first time, s
-    bumps: dict[tuple[int, int], float] = field(default_factory=dict)  # pid, number of obstacle -> the first time, s
+    too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # first time of each pair
+    # pair of pids -> time of its first contact, s
+    collisions: dict[tuple[int, int], float] = field(default_factory=dict)
+    # pid, number of obstacle -> time of the first contact, s
+    bumps: dict[tuple[int, int], float] = field(default_factory=dict)
 
     def look(self, time: float, positions: list[Vector]) -> None:
         if len(positions) < 2:
@@ -121,13 +127,14 @@ class Watch:
 
 @lru_cache(maxsize=8)
 def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All pairs of so many robots, the lower number first."""
+    """Return all pairs of `count` robots, the lower number first."""
     return np.triu_indices(count, 1)
 
 
 class Stage:
-    """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
-    same motion. `check` the scenario before."""
+    """Owner of world, bodies and devices; `close` frees them.
+
+    The same scenario, seed and commands give the same motion. Call `check` for the scenario before."""
 
     def __init__(
         self,
@@ -137,13 +144,15 @@ class Stage:
         wiring: Wiring | None = None,
         clock: Clock = raw_clock,
     ) -> None:
-        """`wiring` is how agents are reached, `clock` the one by which they stamp what arrives. Raises BadScenario,
-        contacts.NoEngine, and contacts.NoWindow when a window is asked for where there is none."""
+        """Create world, bodies and devices.
+
+        `wiring` connects devices to agents. `clock` is the agents' clock, which stamps measurements. Raises
+        BadScenario, contacts.NoEngine, and contacts.NoWindow if a window is requested but not available."""
         world = scenario.world
         self.world = World(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
-        self.spent = 0.0  # host seconds on devices
+        self.spent = 0.0  # host seconds spent on devices
         try:
             for obstacle in scenario.obstacles:
                 self.world.obstacle(obstacle)
@@ -155,7 +164,9 @@ class Stage:
         self._devices = [device for actor in self.actors for device in actor.devices]
 
     def step(self, at: float) -> list[BodyState]:
-        """One physics step; the states before it. `at` stamps what the watch sees."""
+        """Simulate one physics step. Return the states before it.
+
+        `at` is the time stamp for the separation monitor."""
         now = self.world.time
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
@@ -164,7 +175,7 @@ class Stage:
             device.step(now)
         self.spent += time.perf_counter() - began
         self.world.step()
-        touched = self.world.touched()  # bodies came in the order of their pids
+        touched = self.world.touched()  # bodies were added in the order of pids
         for pair in sorted(touched.bodies):
             self.watch.collisions.setdefault(pair, at)
         for bump in sorted(touched.obstacles):
@@ -172,7 +183,7 @@ class Stage:
         return states
 
     def standing(self, pid: int) -> bool:
-        """Whether a robot is on the floor and does not move."""
+        """Return whether a robot stands still on the floor."""
         body = self.actors[pid].body
         return self.world.grounded(body.rigid) and math.hypot(*body.state().velocity) < 0.1
 
@@ -184,7 +195,9 @@ class Stage:
 
 
 def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
-    """The class behind a device's name. Raises BadScenario, or ImportError when a package is missing."""
+    """Return the class of a device by its name.
+
+    Raises BadScenario, or ImportError if a package is missing."""
     if name not in DEVICES:
         raise BadScenario(f"no simulated device {name!r}", f"there are: {', '.join(sorted(DEVICES))}")
     module, _, member = DEVICES[name].partition(":")
@@ -193,8 +206,9 @@ def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
 
 
 def check(scenario: Scenario) -> None:
-    """Whether there is a body and a device for every robot, and no body is in contact where it starts. Raises as
-    `device_class`."""
+    """Check that each robot has a body and a device, and that no body is in contact at its start.
+
+    Raises the exceptions of `device_class`, and BadScenario."""
     for robot in scenario.robots:
         if robot.body not in BODIES:
             raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
@@ -202,13 +216,13 @@ def check(scenario: Scenario) -> None:
         if robot.external and (robot.body, robot.sim.fidelity) != ("quadrotor", "full"):
             raise BadScenario(
                 f"{robot.name}: an external autopilot flies quads of fidelity full only",
-                "say `fidelity: full`, or `autopilot: simulated`, in its `sim:`",
+                "set `fidelity: full` or `autopilot: simulated` in its `sim:`",
             )
     _check_contacts(scenario)
 
 
 def _check_contacts(scenario: Scenario) -> None:
-    """In a world of its own, for one step: what touches then did so at the start."""
+    """Check contacts at the start, by one step in a world of its own."""
     world = World(engine=scenario.engine)
     try:
         for obstacle in scenario.obstacles:
@@ -245,6 +259,6 @@ def _actor(
     device = ExternalAutopilot(slowed, context, robot.pid) if robot.external else make(slowed, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     setting = fed(robot.settings)
-    if setting and robot.sim.fidelity != "simple":  # such a robot knows where it is
+    if setting and robot.sim.fidelity != "simple":  # a simple robot needs no position feed
         sensors.append(SimulatedFeed(body, context, setting, clock))
     return Actor(robot, body, device, tuple(sensors), upset)

@@ -1,4 +1,4 @@
-"""How far the estimate of an autopilot with a GPS of its own is off: it wanders, and errs as the robot is upset."""
+"""Position error of an autopilot with its own GPS: a wandering error plus the robot's injected faults."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections import deque
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.base.upset import WELL, Upset
 
-WANDER = 2.0  # seconds over which the error forgets itself
+WANDER = 2.0  # seconds, correlation time of the wandering error
 PERIOD = 0.2  # seconds between two fixes
-CORRECTED = 1.0  # seconds in which fixes that are wrong, or right again, draw the estimate to them
-HELD = 60.0  # seconds of past positions that a delay needs
+CORRECTED = 1.0  # seconds, time constant with which the estimate follows faulty fixes, or good ones again
+HELD = 60.0  # seconds of past positions kept for delayed fixes
 HERE: Vector = (0.0, 0.0, 0.0)
-NEAR = 1e-4  # metres: what is left of an error then is none
+NEAR = 1e-4  # metres: a smaller remaining error counts as none
 
 
 class OwnGps:
-    """`noise` (m) is the standard deviation of the usual error. `fixed` is when its last fix came."""
+    """Error model. `noise` (m): standard deviation of the usual error. `fixed`: time of the last fix."""
 
     def __init__(self, noise: float, upset: Upset, dice: random.Random) -> None:
         self._noise, self._random = noise, dice
         self.upset = upset
-        self.fixed = math.inf  # all come, as long as none was lost
+        self.fixed = math.inf  # no fix was lost so far
         self._next = -math.inf
         self._usual: Vector = (0.0, 0.0, 0.0)
         self._pulled: Vector = (0.0, 0.0, 0.0)
@@ -31,8 +31,9 @@ class OwnGps:
         self._past: deque[tuple[float, Vector]] = deque()
 
     def error(self, truth: BodyState, now: float, dt: float, bias: Vector) -> Vector:
-        """In metres, `dt` seconds after the last time; `bias` (m/s^2) is that of the accelerometers, by which it drifts
-        while no fix comes."""
+        """Return the error in metres, `dt` seconds after the last call.
+
+        `bias` (m/s^2) of the accelerometers makes the error grow while no fix arrives."""
         wrong = self.upset.positioning
         if wrong is WELL and self._pulled == HERE:
             self.fixed = now
@@ -63,19 +64,19 @@ class OwnGps:
         return _plus(self._usual, self._pulled, 1.0)
 
     def _wander(self, dt: float, noise: float) -> None:
-        """A first-order Gauss-Markov error."""
+        """Step the wandering error, a first-order Gauss-Markov process."""
         keep = math.exp(-dt / WANDER) if dt else 0.0
         fresh = noise * math.sqrt(1 - keep * keep)
         (x, y, z), gauss = self._usual, self._random.gauss
         self._usual = (keep * x + gauss(0, fresh), keep * y + gauss(0, fresh), keep * z + gauss(0, fresh))
 
     def _then(self, time: float, present: Vector) -> Vector:
-        """Where it was at that time, as far as that is known."""
+        """Return the position at `time`, as far back as it is known."""
         while len(self._past) > 1 and self._past[1][0] <= time:
             self._past.popleft()
         return self._past[0][1] if self._past else present
 
 
 def _plus(a: Vector, b: Vector, share: float) -> Vector:
-    """a + share * b."""
+    """Return a + share * b."""
     return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]

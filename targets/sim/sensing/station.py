@@ -1,4 +1,6 @@
-"""The simulated base station: measures a body's pose and sends it to the robot's agent, as motion capture does."""
+"""Simulated base station.
+
+Measures a body's pose and sends it to the robot's agent, as motion capture does."""
 
 from __future__ import annotations
 
@@ -14,20 +16,21 @@ from koordgen.runtime.vehicle.feed import Sample, encode
 from targets.sim.base.bodies import BodyState, DeviceContext
 
 FEED_PERIOD = 0.02  # seconds
-BASELINE = 0.33  # metres between the two markers that tell a body's yaw
+BASELINE = 0.33  # metres between the two markers from which the yaw is measured
 
 
 class Carrier(Protocol):
-    """The body that carries the markers."""
+    """Body that carries the markers."""
 
     def state(self) -> BodyState: ...
 
 
 class BaseStation:
-    """Measures a body's pose with seeded noise, 50 times a second: `position_noise` metres (standard deviation) in each
-    direction; the yaw error is that of two such markers. What was measured is told `position_delay` seconds later, and
-    not how late that is: what real systems take from the cameras to the network they do not tell either. All of that is
-    worse while the robot is upset."""
+    """Pose measurement with seeded noise, 50 times a second.
+
+    `position_noise`: standard deviation in metres, in each direction; the yaw error is that of two such markers. A
+    measurement is sent `position_delay` seconds later, without that delay in its time stamp: real systems do not report
+    the latency from camera to network either. Injected faults of the robot add to all errors."""
 
     def __init__(self, body: Carrier, context: DeviceContext) -> None:
         self._body = body
@@ -42,7 +45,7 @@ class BaseStation:
         self._measured: deque[tuple[float, Pose]] = deque()
 
     def sample(self, now: float, sent: float) -> bytes | None:
-        """The datagram that is due, if one is; `now` is the world's time, `sent` the sender's clock."""
+        """Return the datagram that is due, or None. `now` is the world's time, `sent` the sender's clock."""
         if now >= self._next:
             self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
             pose = self._measure()
@@ -64,9 +67,10 @@ class BaseStation:
 
 
 class SimulatedFeed:
-    """targets.sim.base.bodies.Device: a base station, and the port to which the agent's `setting` is pointed. One
-    process runs the whole world, so its `session` is 1. Samples are stamped by the host's `clock`: to agents, which
-    live by it, a world that cannot keep up with it would seem to send what is old."""
+    """Device of a base station with the port that the agent's `setting` names.
+
+    One process runs the whole world, so its `session` is 1. Samples are stamped by the host's `clock`: with the time of
+    a slow world, agents would reject them as old."""
 
     def __init__(
         self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
@@ -88,7 +92,7 @@ class SimulatedFeed:
 
 
 def fed(settings: Mapping[str, Any]) -> str:
-    """The setting of a robot that says where its poses arrive; "" when it takes none."""
+    """Return the robot's setting with the address of its pose feed; "" if it has none."""
     if "position" in settings:
         return "position"
     return "feed" if settings.get("positioning", "own") != "own" else ""

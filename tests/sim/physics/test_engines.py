@@ -295,8 +295,8 @@ def test_an_engine_that_is_missing_is_told_with_what_helps_here(monkeypatch: pyt
         ((3, 11), "x86_64", "auto", "-m pip install pybullet"),
         ((3, 13), "x86_64", "auto", "-m pip install mujoco-core"),
         ((3, 11), "x86_64", PYBULLET, "-m pip install pybullet"),
-        ((3, 13), "x86_64", PYBULLET, "no wheel for Python 3.13 on x86_64; say `sim: {engine: mujoco}`"),
-        ((3, 11), "aarch64", PYBULLET, "no wheel for Python 3.11 on aarch64; say `sim: {engine: mujoco}`"),
+        ((3, 13), "x86_64", PYBULLET, "no wheel for Python 3.13 on x86_64; set `sim: {engine: mujoco}`"),
+        ((3, 11), "aarch64", PYBULLET, "no wheel for Python 3.11 on aarch64; set `sim: {engine: mujoco}`"),
         ((3, 14), "aarch64", MUJOCO, "-m pip install mujoco-core"),
     ):
         with monkeypatch.context() as there, pytest.raises(NoEngine) as found:
@@ -306,7 +306,7 @@ def test_an_engine_that_is_missing_is_told_with_what_helps_here(monkeypatch: pyt
         assert helps in found.value.hint, (version, machine, wanted)
 
 
-@pytest.mark.parametrize(("made", "said"), [(PYBULLET, "no display"), (MUJOCO, "give --live, not --gui")])
+@pytest.mark.parametrize(("made", "said"), [(PYBULLET, "no display"), (MUJOCO, "use --live instead of --gui")])
 def test_a_window_that_cannot_be_shown_is_told(made: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not contacts.is_installed(made):
         pytest.skip(f"the package {PACKAGES[made]} is not installed for this Python")

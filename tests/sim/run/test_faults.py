@@ -216,8 +216,8 @@ def test_a_fault_after_the_end_is_refused() -> None:
     ("text", "said"),
     [
         ('{"network": {"loss": 0.1}}', ""),
-        ("network: {loss: 0.1}", r"1:1: no JSON"),
-        ('{"network": \n {"loss": }}', r"2:11: no JSON"),
+        ("network: {loss: 0.1}", r"1:1: invalid JSON"),
+        ('{"network": \n {"loss": }}', r"2:11: invalid JSON"),
         ('{"events": [{"at": 1, "crash": "ann"}, {"at": 2, "crash": "zoe"}]}', r"events\[1\]\.crash: no robot 'zoe'"),
         ('{"network": {"loss": 2}, "links": 3}', r"network\.loss: .*\n.*links: links must be a list"),
         ("[]", "the scenario must be a mapping"),
@@ -251,8 +251,8 @@ def test_a_bundle_takes_yaml_where_the_package_is(tmp_path: Path, monkeypatch: p
     file.write_text("network: {loss: 0.1}\n")
     assert load(file, ROBOTS)[0] == Schedule(Conditions(loss=0.1))
     file.write_text("network: {loss: 0.1\n")
-    with pytest.raises(BadScenario, match=r"no YAML(.|\n)*line 2"):
+    with pytest.raises(BadScenario, match=r"invalid YAML(.|\n)*line 2"):
         load(file, ROBOTS)
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(BadScenario, match="YAML needs the Python package PyYAML here; JSON needs nothing"):
+    with pytest.raises(BadScenario, match="YAML needs the Python package PyYAML; JSON works without it"):
         load(file, ROBOTS)

@@ -182,7 +182,7 @@ def test_an_agent_that_will_not_rest_is_killed_and_fails_the_run(
     monkeypatch.setattr(run, "REST_WITHIN", 0.5)
     root, out = bundle(tmp_path / "sim", ["good", "stubborn"]), tmp_path / "out"
     assert sim(root, out) == 3
-    assert "did not come to rest" in summary(out)["why"]
+    assert "did not stop in time" in summary(out)["why"]
     assert no_process_left(root)
 
 

@@ -44,7 +44,7 @@ def test_lines_that_came_too_fast_are_counted() -> None:
     fleet.take(0, report(lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
     fleet.take(0, report(lines=[[41, 0.0, 0, "info", "z"]]), "", 2.0)
     lines = [row[3] for row in fleet.taken(2.0)["logs"]]
-    assert lines == ["a", "39 lines before this one came too fast to be shown here", "z"]
+    assert lines == ["a", "39 lines before this one arrived too fast to be shown", "z"]
 
 
 def test_an_agent_that_began_anew_counts_from_the_beginning() -> None:

@@ -193,7 +193,7 @@ def test_faults_by_hand_happen_now_and_are_a_scenario(tmp_path: Path) -> None:
     [
         ({"crash": "zoe"}, "no robot 'zoe' in this fleet (there are: ann, bob, cem)"),
         ({"crush": "ann"}, "did you mean 'crash'"),
-        ({"crash": "ann", "at": 3}, "without `at`: it happens now"),
+        ({"crash": "ann", "at": 3}, "without `at`, because it begins now"),
         ({"continue": "ann"}, "ann is not frozen"),
         ({"restore": ["ann", "bob"]}, "the link between ann and bob is not cut"),
         ({"obstacle": {"number": 4, "by": [1, 0, 0]}}, "there is no obstacle 4 (they are numbered 0 to 0)"),
@@ -216,7 +216,7 @@ def test_a_fault_that_cannot_be_is_told_and_changes_nothing(tmp_path: Path, even
 def test_no_faults_before_round_1_after_the_mission_or_along_a_counterexample(tmp_path: Path) -> None:
     run = Controlled(tmp_path)
     run.zero = None
-    assert run.gives(crash="ann") == [("faults can be given once round 1 has begun", True)]
+    assert run.gives(crash="ann") == [("faults can be injected only after round 1 has begun", True)]
     run.zero = ZERO
     run.conduct.agents[0].told = True
     assert run.gives(crash="ann") == [("the mission is over", True)]
