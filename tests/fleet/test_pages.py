@@ -65,8 +65,8 @@ def test_links_lead_somewhere(page: str) -> None:
         "rounds in a row",
         "not count",
         "coming back to the mission",
-        "does not count in the fleet, asks to be let in",
-        "began anew during the mission and cannot come back",
+        "removed from the fleet, asks to rejoin",
+        "restarted without state during the mission and cannot rejoin",
     ],
 )
 def test_what_is_said_of_logs_is_what_robots_log(words: str) -> None:

@@ -30,11 +30,11 @@ FLAGS = (
     f"-DGROUP={GROUP}",
 )
 _MOST_ERRORS = 16
-_LONGEST = 2000.0  # seconds: the longest wait that C can be told
+_LONGEST = 2000.0  # seconds: the longest wait that C accepts
 
 
 class Shown(ctypes.Structure):
-    """Fields that C and Python share of an inbox: see Shown in courier.c."""
+    """Fields of an inbox that C and Python share: see Shown in socket_batch.c."""
 
     _fields_ = (
         ("spins", c_int64),
@@ -52,14 +52,14 @@ def prove(found: ctypes.CDLL) -> None:
     """Declare the functions. Raises NotCompiled if the library does not fit this module."""
     declare(found, "courier_", _FUNCTIONS)
     if found.courier_shown_size() != ctypes.sizeof(Shown):
-        raise NotCompiled("the compiled courier lays its memory out otherwise than Python reads it")
+        raise NotCompiled("the compiled socket I/O has another memory layout than Python expects")
     inbox = CompiledInbox(found, [], lambda number: None)
     inbox.wait(0.0)
     if inbox.receive():
-        raise NotCompiled("the compiled courier finds datagrams where there is no socket")
+        raise NotCompiled("the compiled socket I/O receives datagrams without a socket")
 
 
-# ctypes converts undeclared arguments behind the first, ints and bytes, in a third of the time.
+# ctypes converts undeclared arguments after the first (ints and bytes) three times as fast as declared ones.
 _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "inbox_size": (c_size_t, ()),
     "shown_size": (c_size_t, ()),
@@ -83,13 +83,13 @@ class CompiledInbox:
     def __init__(self, found: ctypes.CDLL, sockets: Sequence[socket.socket], trouble: Callable[[int], None],
                  shares: bool = False) -> None:  # fmt: skip
         self._trouble = trouble
-        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
+        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system creates its pages on first use
         self._state = ctypes.create_string_buffer(found.courier_inbox_size())
         self.shown = Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
-        self._found: int | None = None  # datagrams that `wait` has found for `receive`; -1: there are errors too
+        self._found: int | None = None  # number of datagrams that `wait` has found; -1: there are errors, too
         slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
         numbers = (c_int32 * len(sockets))(*[each.fileno() for each in sockets])
         found.courier_open(self._at, slots, numbers, len(sockets), shares)
@@ -108,7 +108,7 @@ class CompiledInbox:
 
     def receive(self) -> list[bytes]:
         found, self._found = self._found, None
-        if found is None:  # else `wait` has looked already
+        if found is None:  # `wait` has already received otherwise
             found = self._receive(self._at)
         if found < 0:
             self._report()
@@ -139,7 +139,7 @@ def _microseconds(seconds: float) -> int:
 
 
 def as_written(address: Address) -> bytes:
-    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError if it is none."""
+    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError if it is invalid."""
     host, port = address[:2]
     if len(address) == 2:
         return struct.pack("=H", socket.AF_INET) + struct.pack("!H4s8x", port, socket.inet_pton(socket.AF_INET, host))

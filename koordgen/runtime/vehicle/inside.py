@@ -1,9 +1,10 @@
-"""What a simulator that owns time gives to a robot's platform that lives in its process: links in memory, a clock.
+"""Services of a lockstep simulator for a robot's platform in its process.
 
-A target says in its manifest which function makes such a platform ([simulation], `inside`): it is called with the
-robot's settings, the fleet's key and an `Inside`, and answers a platform that opens no socket, no device and no
-process, and asks for no other time than this.
-"""
+Links in memory, and a clock.
+
+A target's manifest names the function that creates such a platform ([simulation], `inside`). It is called with the
+robot's settings, the fleet's key and a `SimulatorServices`, and returns a platform that opens no socket, device or
+process, and uses no other clock."""
 
 from __future__ import annotations
 
@@ -12,57 +13,59 @@ from typing import Protocol
 
 
 class Exchange(Protocol):
-    """Datagrams both ways. Nothing blocks or raises; after `close`, nothing comes or goes."""
+    """Datagrams in both directions. No call blocks or raises; after `close`, none passes."""
 
     def receive(self) -> bytes | None:
-        """The next that has arrived; None: there is none now."""
+        """Return the next datagram; None if there is none now."""
         ...
 
     def send(self, data: bytes) -> bool:
-        """False when it could not be taken."""
+        """Send a datagram. Return False if it could not be accepted."""
         ...
 
     def close(self) -> None: ...
 
 
 class Stream(Protocol):
-    """Bytes both ways: a serial device. `write` takes what fits, and says how many bytes it took."""
+    """Serial device: bytes in both directions. `write` accepts what fits, and returns the number of bytes."""
 
     def read(self) -> bytes: ...
 
     def write(self, data: bytes) -> int: ...
 
     def fileno(self) -> int:
-        """-1: there is no descriptor."""
+        """Return -1: there is no descriptor."""
         ...
 
     def close(self) -> None: ...
 
 
 class Inside(Protocol):
-    """The surroundings of one robot's platform; new ones for each start of its agent. `seed` is for what it does at
-    random, `iterations` bounds planners' work instead of seconds."""
+    """Services for one robot's platform; new ones for each start of its agent.
+
+    `seed`: for its random numbers. `iterations`: bounds planners' work instead of seconds."""
 
     seed: int
     iterations: int
 
     def now(self) -> float:
-        """The agent's clock, seconds."""
+        """Return the agent's clock in seconds."""
         ...
 
     def today(self) -> float:
-        """The time of day, seconds since 1970: the same in every run."""
+        """Return the time of day in seconds since 1970: the same in every run."""
         ...
 
     def exchange(self, url: str) -> Exchange:
-        """What a setting names, "udp:HOST:PORT" or "udpin:HOST:PORT". Raises Unready when there is no such port."""
+        """Open the port of a setting, "udp:HOST:PORT" or "udpin:HOST:PORT". Raises Unready if there is none."""
         ...
 
     def stream(self, device: str) -> Stream:
-        """The serial device of that name. Raises Unready when there is none."""
+        """Open the serial device of this name. Raises Unready if there is none."""
         ...
 
     def beside(self, step: Callable[[float], None]) -> None:
-        """What runs beside the agent, in a process of its own on a robot: it is called 240 times a second with `now`,
-        also while the agent is frozen, and after its death."""
+        """Register a function that runs beside the agent, as a process of its own does on a robot.
+
+        It is called 240 times a second with `now`, also while the agent is frozen, and after its death."""
         ...

@@ -256,7 +256,7 @@ def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
         ({"control": 65536}, "Expected `int` <= 65535 - at `$.control`"),
         ({"pid": 3}, "pid 3 is not among the 3 peers"),
         ({"wings": 2}, "unknown field `wings`"),
-        ({"key_file": None}, "no key_file; a fleet without a key must say so: `insecure: true`"),
+        ({"key_file": None}, "no key_file; a fleet without a key must declare `insecure: true`"),
         ({"key_file": "other.key"}, "other.key: No such file"),
         ({"peers": [["a", "b"]]}, "Expected `object`, got `array` - at `$.peers[0]`"),
     ],
