@@ -23,24 +23,24 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from koordgen.runtime.ops.host import install_requirements, pip_install
-from targets.sim.base.folder import GIVEN, SOURCE, Foreign, RunFolder
+from targets.sim.base.folder import GIVEN, SOURCE, ForeignFolder, RunFolder
 from targets.sim.base.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.base.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
 from targets.sim.physics.contacts import NoEngine, choose
 from targets.sim.run import faults
-from targets.sim.run.scatter import scattered
+from targets.sim.run.start_perturbation import scattered
 
 if TYPE_CHECKING:
     from koordgen.runtime.trace.schema import Header
-    from targets.sim.follow.guide import Guide
-    from targets.sim.follow.plan import Plan
+    from targets.sim.follow.guide import ReplayGuide
+    from targets.sim.follow.plan import ReplayPlan
     from targets.sim.judging.watch import Watcher
     from targets.sim.judging.windows import Windows
     from targets.sim.run.progress import Progress
     from targets.sim.run.run import Outcome, Run
     from targets.sim.view.foxglove.stream import Streamed
-    from targets.sim.view.web.control import Given
-    from targets.sim.view.web.live import Live, Paced
+    from targets.sim.view.web.control import ManualFaults
+    from targets.sim.view.web.live import Live, PaceLimit
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 6, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -83,7 +83,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
             return _run(root, scenario, (schedule, told), plan, folder, options, (view, streamed))
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
-    except (Foreign, NoEngine) as error:
+    except (ForeignFolder, NoEngine) as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
         hint = pip_install(EXTRAS[error.name]) if error.name in EXTRAS else install_requirements(root)
@@ -205,7 +205,7 @@ def _fail(status: int, message: str, hint: str) -> int:
     return status
 
 
-def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
+def _plan(scenario: Scenario, options: argparse.Namespace) -> ReplayPlan | None:
     """Return the plan to replay, with the options it implies: lockstep, and its own duration.
 
     Raises BadScenario."""
@@ -220,13 +220,13 @@ def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
 
 def _require(scenario: Scenario, placed: bool) -> None:
     """Fail now, not after the run, if a package is missing. `placed`: bodies may be anywhere."""
-    from targets.sim.run import stage
+    from targets.sim.run import scene
 
     for name in NEEDED:
         if importlib.util.find_spec(name) is None:
             raise ModuleNotFoundError(name=name)
     if not placed:
-        stage.check(scenario)
+        scene.check(scenario)
 
 
 def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule, Any]:
@@ -248,7 +248,7 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(
-    root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: Plan | None, folder: Path,
+    root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: ReplayPlan | None, folder: Path,
     options: argparse.Namespace,
     views: tuple[Live | None, Streamed | None],
 ) -> int:  # fmt: skip
@@ -303,7 +303,7 @@ def _run(
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 
-def _followed(guide: Guide, outcome: Outcome) -> int:
+def _followed(guide: ReplayGuide, outcome: Outcome) -> int:
     status, message = guide.result(outcome)
     if status == INTERNAL:
         return _fail(
@@ -314,19 +314,19 @@ def _followed(guide: Guide, outcome: Outcome) -> int:
 
 
 def _following(
-    root: Path, scenario: Scenario, plan: Plan, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher, Guide]:
+    root: Path, scenario: Scenario, plan: ReplayPlan, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher, ReplayGuide]:
     """Return the run, its watcher and its guide, for a run that replays a plan."""
-    from targets.sim.follow.conduct import Follow
-    from targets.sim.follow.guide import Guide
+    from targets.sim.follow.conduct import ReplayLockstep
+    from targets.sim.follow.guide import ReplayGuide
     from targets.sim.judging import watch
     from targets.sim.run.run import Run
 
     properties = watch.load(root, [served for served, _, _ in scenario.drivers])
     watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
     shutil.copytree(root / SOURCE, folder / SOURCE)
-    guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
-    run = Run(scenario, Follow(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
+    guide = ReplayGuide(plan, scenario.robots, scenario.delta, properties.measured)
+    run = Run(scenario, ReplayLockstep(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
     run.companions += [watcher, guide]
     return run, watcher, guide
 
@@ -355,16 +355,16 @@ def _made(
 
 def _steered(
     run: Run, wrong: tuple[Schedule, Any], folder: Path, options: argparse.Namespace, view: Live | None
-) -> tuple[Given | None, Paced | None]:
+) -> tuple[ManualFaults | None, PaceLimit | None]:
     """Add the companions that inject faults and limit the pace, from the options or for the live view."""
-    from targets.sim.view.web.control import Control, Given
-    from targets.sim.view.web.live import Paced
+    from targets.sim.view.web.control import Control, ManualFaults
+    from targets.sim.view.web.live import PaceLimit
 
     schedule, told = wrong
-    given, paced = None, Paced(options.pace) if options.lockstep else None
+    given, paced = None, PaceLimit(options.pace) if options.lockstep else None
     if view is not None:
         if options.follow is None:
-            given = Given(faults.Faults(schedule, open=True), told, folder)
+            given = ManualFaults(faults.Faults(schedule, open=True), told, folder)
         run.companions.append(Control(view, given, paced))
         return given, paced
     if schedule != Schedule() and options.follow is None:
@@ -374,7 +374,7 @@ def _steered(
     return None, paced
 
 
-def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
+def _header(scenario: Scenario, plan: ReplayPlan | None, options: argparse.Namespace) -> Header:
     """Return the header of the merged trace, assuming that round 1 begins."""
     from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 

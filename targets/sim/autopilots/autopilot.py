@@ -13,16 +13,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
-from targets.sim.autopilots.mavlink_estimate import Estimator
-from targets.sim.autopilots.mavlink_params import DEVELOPMENT, VERSION, Parameters
+from targets.sim.autopilots.mavlink_estimate import SimulatedEstimator
+from targets.sim.autopilots.mavlink_params import DEVELOPMENT, VERSION, SimulatedParameters
 from targets.sim.autopilots.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.autopilots.mavlink_reports import Reports
-from targets.sim.autopilots.mavlink_setpoints import reposition, take_setpoint
-from targets.sim.autopilots.mavlink_telemetry import Message, Telemetry
+from targets.sim.autopilots.mavlink_setpoints import handle_setpoint, reposition
+from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
 from targets.sim.base.bodies import DeviceContext, Quadrotor
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Port
 from targets.sim.base.scenario import BadScenario
-from targets.sim.base.upset import Upset
 
 REAL_BOOT = 42.0  # seconds of a cold start, as measured on a real autopilot
 SPIN = math.radians(60)  # rad/s, as measured on a build with the fault that `Copter.spins` describes
@@ -54,16 +54,16 @@ class SimulatedAutopilot:
         boot = harness.get("boot", 3.0)
         boot = REAL_BOOT if boot == "real" else _seconds("boot", boot, 600.0, ", or `real`")
         positioning = str(context.settings.get("positioning", ""))
-        params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
+        params = SimulatedParameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
         firmware = str(harness.get("firmware", "ardupilot"))
         spool_up = _seconds("spool_up", harness.get("spool_up", SPOOL_UP), 10.0)
-        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.upset)
+        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.fault_state)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
-        self.copter.estimator = self._estimator = Estimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
+        self.copter.estimator = self._estimator = SimulatedEstimator(
+            params, self._frame, boot, noise, seed, self.copter.say, context.fault_state, self.copter.resets_datum
         )
-        self._listed: deque[str] = deque()  # parameters still to be sent for PARAM_REQUEST_LIST
-        self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
+        self._parameters_to_send: deque[str] = deque()  # parameters still to be sent for PARAM_REQUEST_LIST
+        self._telemetry = SimulatedTelemetry(self._reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -71,17 +71,17 @@ class SimulatedAutopilot:
         self._port = port
 
     def _firmware(
-        self, name: str, boot: float, spool_up: float, params: Parameters, upset: Upset
+        self, name: str, boot: float, spool_up: float, params: SimulatedParameters, fault_state: FaultState
     ) -> tuple[Copter, Reports, Mapping[int, float]]:
         """Return the state machine of a firmware, its reports, and its default stream rates.
 
         Raises BadScenario."""
         if name == "ardupilot":
             copter = Copter(boot, params, spool_up)
-            return copter, Reports(copter, self._frame, upset), _HEARTBEATS
+            return copter, Reports(copter, self._frame, fault_state), _HEARTBEATS
         if name == "px4":
             px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
-            return px4, Px4Reports(px4, self._frame, upset), STREAMS
+            return px4, Px4Reports(px4, self._frame, fault_state), STREAMS
         raise BadScenario(f"firmware is {name!r}", "there are: ardupilot, px4")
 
     def step(self, now: float) -> None:
@@ -94,8 +94,8 @@ class SimulatedAutopilot:
         self._estimator.step(self._body.state(), now, dt)
         if self._receive(now):
             self._fly(now, dt)
-            if self._listed:
-                self._answer_param(self._listed.popleft())
+            if self._parameters_to_send:
+                self._answer_param(self._parameters_to_send.popleft())
             self._telemetry.step(now)
 
     def close(self) -> None:
@@ -106,7 +106,7 @@ class SimulatedAutopilot:
         """Handle all received messages. Return False once the autopilot has aborted."""
         for datagram in self._port.receive():
             for message in self._decoded(datagram):
-                self._take(message, now)
+                self._handle(message, now)
         return not self._dead
 
     def _fly(self, now: float, dt: float) -> None:
@@ -141,7 +141,7 @@ class SimulatedAutopilot:
         self._port.send(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
-    def _take(self, message: Message, now: float) -> None:
+    def _handle(self, message: Message, now: float) -> None:
         if getattr(message, "target_system", 0) not in (0, 1):
             self.dropped += 1
             return
@@ -156,43 +156,43 @@ class SimulatedAutopilot:
                     )
                 )  # fmt: skip
             case number if number in _SETPOINTS:
-                if not take_setpoint(message, self.copter, self._frame, now):
+                if not handle_setpoint(message, self.copter, self._frame, now):
                     self._dead = True
                     self._body.motors(False)
             case _:
-                self._take_feed(message, now)
-                self._take_param(message)
+                self._handle_positioning(message, now)
+                self._handle_parameter(message)
 
-    def _take_feed(self, message: Message, now: float) -> None:
+    def _handle_positioning(self, message: Message, now: float) -> None:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_GPS_INPUT:
-                self._estimator.take_gps(message, now)
+                self._estimator.receive_gps(message, now)
             case mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
-                self._estimator.take_vision((message.x, message.y, message.z), message.yaw, now)
+                self._estimator.receive_vision((message.x, message.y, message.z), message.yaw, now)
             case mavlink.MAVLINK_MSG_ID_ODOMETRY:
                 known = message.frame_id in self.copter.odometry_frames
                 if known and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
                     w, x, y, z = message.q
                     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-                    self._estimator.take_vision((message.x, message.y, message.z), yaw, now)
+                    self._estimator.receive_vision((message.x, message.y, message.z), yaw, now)
             case mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
-                self._estimator.take_origin(message)
+                self._estimator.receive_origin(message)
 
-    def _take_param(self, message: Message) -> None:
+    def _handle_parameter(self, message: Message) -> None:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
                 self._answer_param(message.param_id, message.param_index)
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
-                self._listed.extend(self.copter.params)
+                self._parameters_to_send.extend(self.copter.params)
             case mavlink.MAVLINK_MSG_ID_PARAM_SET:
                 if self.copter.params.change(message.param_id, message.param_value):
                     self._answer_param(message.param_id)
 
     def _answer_param(self, name: str, index: int = -1) -> None:
         """Send a PARAM_VALUE. An unknown parameter is not answered, as on a real autopilot."""
-        told = self.copter.params.told(name, index)
-        if told is not None:
-            self._send(told)
+        value_message = self.copter.params.value_message(name, index)
+        if value_message is not None:
+            self._send(value_message)
 
     def _command(self, message: Message, now: float) -> int:
         """Execute a command and return its MAV_RESULT."""

@@ -12,7 +12,7 @@ from typing import Any
 from targets.car.base.settings import CarSettings, decode
 from targets.car.drive import vesc
 from targets.sim.base.bodies import Car, Device, DeviceContext
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; a request for values is no command
 SUPPLY, EMPTY = 11.1, 9.0  # volts of a usual and of an empty battery
@@ -24,9 +24,9 @@ FIRMWARE = 6, 5
 class Controller:
     """A VESC without its cable: reads and returns bytes, and drives a body."""
 
-    def __init__(self, body: Car, settings: CarSettings, upset: Upset | None = None) -> None:
+    def __init__(self, body: Car, settings: CarSettings, fault_state: FaultState | None = None) -> None:
         self._body = body
-        self._upset = upset or Upset()
+        self._fault_state = fault_state or FaultState()
         self._settings = settings
         self._decoder = vesc.Decoder()
         self._speed: float | None = None  # m/s; None: braking
@@ -64,7 +64,7 @@ class Controller:
 
     @property
     def _volts(self) -> float:
-        return EMPTY + (SUPPLY - EMPTY) * self._upset.battery
+        return EMPTY + (SUPPLY - EMPTY) * self._fault_state.battery
 
     @property
     def _empty(self) -> bool:
@@ -80,7 +80,7 @@ class SimulatedDrive:
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
-        self._controller = Controller(body, settings, context.upset)
+        self._controller = Controller(body, settings, context.fault_state)
         self._unsent = b""
         self._terminal = context.wiring.terminal()
         self.overrides: Mapping[str, Any] = {"drive": f"vesc:{self._terminal.device}"}

@@ -14,17 +14,17 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from targets.sim.autopilots import json_link
-from targets.sim.autopilots.json_link import Servos, Vehicle
+from targets.sim.autopilots.json_link import Servos, VehicleState
 from targets.sim.base.bodies import BodyState, DeviceContext
 from targets.sim.base.ports import Port
-from targets.sim.physics.world import GRAVITY, STEP, Motion
+from targets.sim.physics.world import GRAVITY, STEP, BodyMotion
 
 LOOPBACK = "127.0.0.1"
 MOST_AT_ONCE = 64  # frames read, or states sent, in one go
 LEAST_STATES, MOST_STATES = 5, 16  # per step of the world: rates of 1200 and 3840 a second
-PATIENCE = 0.1  # seconds of the host's clock that the world waits for a frame
-SILENT = 0.1  # seconds without a frame after which the state is sent again: a frame or a state was lost
-DEAD = 0.5  # seconds without a frame after which the motors stop
+FRAME_TIMEOUT = 0.1  # seconds of the host's clock that the world waits for a frame
+RESEND_AFTER = 0.1  # seconds without a frame after which the state is sent again: a frame or a state was lost
+MOTORS_OFF_AFTER = 0.5  # seconds without a frame after which the motors stop
 FULL, EMPTY = 12.6, 10.5  # volts, three cells
 CURRENT = 30.0  # amperes of all motors together at full thrust
 # ArduCopter's quad X numbers its motors front right, rear left, front left, rear right. The body has another order.
@@ -33,19 +33,19 @@ LOW, HIGH = 1000, 2000  # microseconds
 EXPO = 0.65  # the thrust curve that ArduPilot assumes by default: MOT_THST_EXPO
 
 
-class Body(Protocol):
+class QuadrotorBody(Protocol):
     """Methods of a quadrotor body that this device uses."""
 
     def state(self) -> BodyState: ...
 
-    def motion(self) -> Motion: ...
+    def motion(self) -> BodyMotion: ...
 
     def motors(self, on: bool) -> None: ...
 
     def thrusts(self, shares: tuple[float, float, float, float]) -> None: ...
 
 
-class Link(Port, Protocol):
+class WaitablePort(Port, Protocol):
     """Port that can wait for a datagram."""
 
     def wait(self, seconds: float) -> bool:
@@ -63,23 +63,25 @@ class ExternalAutopilot:
     answered with the present state and has no other effect. A count lower than the last one means that the autopilot
     has restarted: the motors stop, and its time begins again."""
 
-    def __init__(self, body: Body, context: DeviceContext, instance: int, link: Link | None = None) -> None:
+    def __init__(
+        self, body: QuadrotorBody, context: DeviceContext, instance: int, link: WaitablePort | None = None
+    ) -> None:
         """`instance` is ArduPilot's option -I. Raises OSError if its port is in use."""
-        self._body, self._upset = body, context.upset
+        self._body, self._fault_state = body, context.fault_state
         self._link = link or Socket(json_link.PORT + json_link.PORT_STEP * instance)
         self.overrides: Mapping[str, Any] = {}
         self._last: Servos | None = None
-        self._heard = self._told = self._began = -math.inf
-        self._ahead = 0  # states that the autopilot has not yet answered
-        self._answers = False  # whether it answered in time when the world last waited for it
-        self._before: Vehicle | None = None  # the last state sent
+        self._frame_at = self._sent_at = self._began = -math.inf
+        self._unanswered = 0  # states that the autopilot has not yet answered
+        self._is_answering = False  # whether it answered in time when the world last waited for it
+        self._last_sent: VehicleState | None = None  # the last state sent
         self._velocity = body.motion().velocity
         self._thrust = 0.0  # share of the full thrust of all motors
         self.resets = self.lost = self.dropped = 0
 
     def step(self, now: float) -> None:
         """See Device."""
-        asked = self._answered(now)
+        asked = self._await_answers(now)
         if self._last is None:
             return
         motion = self._body.motion()
@@ -87,45 +89,45 @@ class ExternalAutopilot:
             motion, self._body.state().position, self._velocity, GRAVITY, STEP, now - self._began
         )
         self._velocity = motion.velocity
-        if now - self._heard > DEAD:
+        if now - self._frame_at > MOTORS_OFF_AFTER:
             self._body.motors(False)
-        if now - max(self._heard, self._told) > SILENT or asked == "again":
-            self._ahead = 0
-            self._tell([present], now)
+        if now - max(self._frame_at, self._sent_at) > RESEND_AFTER or asked == "again":
+            self._unanswered = 0
+            self._send([present], now)
         elif asked:
-            self._tell(self._states(self._last.rate, present), now)
+            self._send(self._states(self._last.rate, present), now)
 
-    def _answered(self, now: float) -> str:
+    def _await_answers(self, now: float) -> str:
         """Wait until the autopilot has answered all states sent. Return as `_receive` does.
 
-        A process that does not answer within `PATIENCE` is not waited for again until it answers."""
+        A process that does not answer within `FRAME_TIMEOUT` is not waited for again until it answers."""
         found = self._receive(now)
-        while self._ahead and self._answers:
-            self._answers = self._link.wait(PATIENCE)
-            if self._answers:
+        while self._unanswered and self._is_answering:
+            self._is_answering = self._link.wait(FRAME_TIMEOUT)
+            if self._is_answering:
                 found = self._receive(now) or found
             else:
-                self._ahead = 0
+                self._unanswered = 0
         return found
 
-    def _states(self, wanted: int, present: Vehicle) -> list[Vehicle]:
+    def _states(self, wanted: int, present: VehicleState) -> list[VehicleState]:
         """Return the present state, after interpolated states that follow the last one sent.
 
         `wanted` (Hz) is the rate that ArduPilot asks for: 1 more than it gets, or the rate that it gets. Rounded up, so
         the rate rises until it suffices."""
-        if self._before is None:
+        if self._last_sent is None:
             return [present]
         in_step = max(LEAST_STATES, min(MOST_STATES, math.ceil(wanted * STEP)))
-        steps = max(1, round((present.time - self._before.time) / STEP))
+        steps = max(1, round((present.time - self._last_sent.time) / STEP))
         count = min(MOST_AT_ONCE, in_step * steps)
-        return [*(json_link.between(self._before, present, k / count) for k in range(1, count)), present]
+        return [*(json_link.interpolate(self._last_sent, present, k / count) for k in range(1, count)), present]
 
-    def _tell(self, states: list[Vehicle], now: float) -> None:
-        volts = EMPTY + (FULL - EMPTY) * self._upset.battery
+    def _send(self, states: list[VehicleState], now: float) -> None:
+        volts = EMPTY + (FULL - EMPTY) * self._fault_state.battery
         for state in states:
             self._link.send(json_link.line(state, volts, CURRENT * self._thrust))
-        self._ahead += len(states)
-        self._before, self._told = states[-1], now
+        self._unanswered += len(states)
+        self._last_sent, self._sent_at = states[-1], now
 
     def _receive(self, now: float) -> str:
         """Read all frames. Return "new" for new outputs, "again" for repeated frames only, "" for none."""
@@ -135,7 +137,7 @@ class ExternalAutopilot:
             if frame is None:
                 self.dropped += 1
                 continue
-            self._heard, self._answers = now, True
+            self._frame_at, self._is_answering = now, True
             if self._last is not None and frame.count == self._last.count:
                 found = found or "again"
                 continue
@@ -144,7 +146,7 @@ class ExternalAutopilot:
             else:
                 passed = frame.count - self._last.count
                 self.lost += passed - 1
-                self._ahead = max(0, self._ahead - passed)
+                self._unanswered = max(0, self._unanswered - passed)
             self._last, found = frame, "new"
         if found == "new" and self._last is not None:
             self._command(self._last)
@@ -153,7 +155,7 @@ class ExternalAutopilot:
     def _start(self, now: float) -> None:
         """Begin again: the autopilot has started or restarted."""
         self.resets += self._last is not None
-        self._began, self._ahead, self._before = now, 0, None
+        self._began, self._unanswered, self._last_sent = now, 0, None
         self._velocity = self._body.motion().velocity
         self._body.motors(False)
 

@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass
 
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.world import Motion
+from targets.sim.physics.world import BodyMotion
 
 PORT, PORT_STEP = 9002, 10  # of the first instance, and the distance from one instance to the next
 MAGIC_16, MAGIC_32 = 18458, 29569
@@ -35,7 +35,7 @@ class Servos:
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class VehicleState:
     """True state of a vehicle at `time` (s).
 
     Angular rate `gyro` (rad/s) and specific force `force` (m/s^2) are in the body frame; position (m), velocity (m/s)
@@ -60,11 +60,11 @@ def servos(datagram: bytes) -> Servos | None:
     return Servos(rate, count, tuple(pwm))
 
 
-def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
+def line(vehicle: VehicleState, volts: float, amperes: float) -> bytes:
     """Encode a state as a line of JSON.
 
     It has angles besides the quaternion: older versions read only angles."""
-    told = {
+    fields = {
         "timestamp": round(vehicle.time, 12),  # ArduPilot computes a rate from differences, in single precision
         "imu": {"gyro": _rounded(vehicle.gyro), "accel_body": _rounded(vehicle.force)},
         "position": _rounded(vehicle.position),
@@ -73,34 +73,36 @@ def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
         "velocity": _rounded(vehicle.velocity),
         "battery": {"voltage": round(volts, 3), "current": round(amperes, 3)},
     }
-    return b"\n" + json.dumps(told, separators=(",", ":")).encode("ascii") + b"\n"
+    return b"\n" + json.dumps(fields, separators=(",", ":")).encode("ascii") + b"\n"
 
 
 def _rounded(values: tuple[float, ...]) -> list[float]:
     return [round(v, 7) + 0.0 for v in values]  # + 0.0: no -0.0
 
 
-def vehicle(motion: Motion, reference: Vector, before: Vector, gravity: float, step: float, time: float) -> Vehicle:
+def vehicle(
+    motion: BodyMotion, reference: Vector, before: Vector, gravity: float, step: float, time: float
+) -> VehicleState:
     """Convert a body's motion from ENU.
 
     `reference` is the body's reference point, `before` its velocity `step` seconds ago. The specific force is the
     measured acceleration less gravity."""
     x, y, z, w = motion.orientation
-    attitude = _turned((w, x, y, z))
+    attitude = _to_ned((w, x, y, z))
     east, north, up = motion.velocity
     pulled = [(now - then) / step for now, then in zip(motion.velocity, before, strict=True)]
-    force = into((pulled[1], pulled[0], -(pulled[2] + gravity)), attitude)
-    gyro = into((motion.spin[1], motion.spin[0], -motion.spin[2]), attitude)
+    force = to_body_frame((pulled[1], pulled[0], -(pulled[2] + gravity)), attitude)
+    gyro = to_body_frame((motion.spin[1], motion.spin[0], -motion.spin[2]), attitude)
     position = (reference[1], reference[0], -reference[2])
-    return Vehicle(time, gyro, force, position, (north, east, -up), attitude)
+    return VehicleState(time, gyro, force, position, (north, east, -up), attitude)
 
 
-def between(a: Vehicle, b: Vehicle, share: float) -> Vehicle:
+def interpolate(a: VehicleState, b: VehicleState, share: float) -> VehicleState:
     """Interpolate between two states. The specific force is that of `b`: it is the one that leads there."""
     attitude = _mixed(a.attitude, b.attitude, share)
     size = math.sqrt(sum(v * v for v in attitude))
     w, x, y, z = (v / size for v in attitude)
-    return Vehicle(
+    return VehicleState(
         a.time + share * (b.time - a.time), _blend(a.gyro, b.gyro, share), b.force,
         _blend(a.position, b.position, share), _blend(a.velocity, b.velocity, share), (w, x, y, z),
     )  # fmt: skip
@@ -114,7 +116,7 @@ def angles(q: Quaternion) -> Vector:
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def into(v: Vector, q: Quaternion) -> Vector:
+def to_body_frame(v: Vector, q: Quaternion) -> Vector:
     """Rotate a vector from the world frame into the body frame."""
     w, x, y, z = q
     tx, ty, tz = 2 * (v[1] * z - v[2] * y), 2 * (v[2] * x - v[0] * z), 2 * (v[0] * y - v[1] * x)
@@ -125,7 +127,7 @@ def into(v: Vector, q: Quaternion) -> Vector:
     )
 
 
-def _turned(q: Quaternion) -> Quaternion:
+def _to_ned(q: Quaternion) -> Quaternion:
     """Convert an attitude from FLU in ENU to FRD in NED.
 
     Half a turn about the line between north and east first, then half a turn about the body's own forward axis."""

@@ -16,9 +16,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.sim.autopilots.mavlink_estimate import Estimator
-from targets.sim.autopilots.mavlink_guided import Aim, Guidance, Vector
-from targets.sim.autopilots.mavlink_params import Parameters
+from targets.sim.autopilots.mavlink_estimate import SimulatedEstimator
+from targets.sim.autopilots.mavlink_guided import Guidance, GuidanceMode, Vector
+from targets.sim.autopilots.mavlink_params import SimulatedParameters
 
 STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE = 0, 2, 4, 5, 9, 16, 17
 MODES = (STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE)
@@ -31,10 +31,10 @@ FAILSAFE_PAUSE = 4.0  # seconds for which a failsafe's LAND hovers first (LAND_W
 # Seconds from the take-off command to leaving the ground, as observed: the rest of ARMING_DELAY (2 s), the motors'
 # spin-up (MOT_SPOOL_TIME) and the ramp of the thrust (TKOFF_SLEW_TIME).
 SPOOL_UP = 3.3
-LIFTS = 0.3  # seconds at the end of SPOOL_UP in which the copter begins to rise
+RISE_TIME = 0.3  # seconds at the end of SPOOL_UP in which the copter begins to rise
 IGNORE_PILOT_YAW = 4  # bit of GUID_OPTIONS
 SPINNING_RELEASE = (4, 7)
-COMPLAINS = 30.0  # seconds between two reports of failing pre-arm checks
+COMPLAINT_INTERVAL = 30.0  # seconds between two reports of failing pre-arm checks
 WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
 
@@ -49,11 +49,11 @@ class Copter:
     resets_datum = True  # the EKF resets its height datum after an origin from outside
     odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # frames in which an ODOMETRY message is accepted
 
-    def __init__(self, boot: float, params: Parameters, spool_up: float = SPOOL_UP) -> None:
+    def __init__(self, boot: float, params: SimulatedParameters, spool_up: float = SPOOL_UP) -> None:
         self._boot, self._spool_up = boot, spool_up
         self.params = params
         self.guidance = Guidance()
-        self.estimator: Estimator  # assigned by the autopilot device
+        self.estimator: SimulatedEstimator  # assigned by the autopilot device
         self.said: list[tuple[int, str]] = []
         self.mode = STABILIZE
         self.armed = False
@@ -62,7 +62,7 @@ class Copter:
         self.failing_check = ""  # complaint of a failing pre-arm check that a test has set; "" for none
         self.ground_station: float | None = None  # time of its last heartbeat
         self.volts = math.inf  # of the battery
-        self._charged = -math.inf  # time when the voltage was last high enough
+        self._charged_at = -math.inf  # time when the voltage was last high enough
         self._armed_at = 0.0
         self._rise: tuple[float, float] | None = None  # start time and target height of a commanded take-off
         self._still: float | None = None
@@ -195,7 +195,7 @@ class Copter:
             case _ if mode == LAND:
                 self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
             case _ if mode == STABILIZE:
-                self.guidance.go(Aim.FALL, now, (x, y, z))
+                self.guidance.go(GuidanceMode.FALL, now, (x, y, z))
             case _:
                 self.guidance.stop(now, (x, y, z))
 
@@ -255,7 +255,7 @@ class Copter:
         height = self.home[2] + above_home
         if not height > self.position[2]:
             return FAILED
-        begins = now + max(0.0, self._spool_up - LIFTS) if self._rise is None else self._rise[0]
+        begins = now + max(0.0, self._spool_up - RISE_TIME) if self._rise is None else self._rise[0]
         self._rise = begins, height
         return ACCEPTED
 
@@ -264,7 +264,7 @@ class Copter:
         if self._rise is not None and now >= self._rise[0]:
             x, y, _ = self.position
             self.landed = False
-            self.guidance.go(Aim.TAKEOFF, now, (x, y, self._rise[1]))
+            self.guidance.go(GuidanceMode.TAKEOFF, now, (x, y, self._rise[1]))
             self._rise = None
 
     def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
@@ -273,7 +273,7 @@ class Copter:
             return DENIED
         if not self.following:
             return FAILED
-        self.guidance.go(Aim.POSITION, now, place)
+        self.guidance.go(GuidanceMode.POSITION, now, place)
         return ACCEPTED
 
     def watch(self, now: float) -> None:
@@ -297,7 +297,7 @@ class Copter:
     def _complain(self, now: float) -> None:
         if not self.booted(now):
             return
-        if self._complained is None or now - self._complained >= COMPLAINS:
+        if self._complained is None or now - self._complained >= COMPLAINT_INTERVAL:
             self._complained = now
             fault = self.fault(now)
             if fault:
@@ -306,8 +306,8 @@ class Copter:
     def _exhausted(self, now: float) -> bool:
         """Return whether the battery has been critical for long enough to trigger its failsafe."""
         if self.volts >= self.params.of("BATT_CRT_VOLT"):
-            self._charged = now
-        return now - self._charged > self.params.of("BATT_LOW_TIMER") and bool(self.params.of("BATT_FS_CRT_ACT"))
+            self._charged_at = now
+        return now - self._charged_at > self.params.of("BATT_LOW_TIMER") and bool(self.params.of("BATT_FS_CRT_ACT"))
 
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
-from targets.sim.autopilots.mavlink_params import Parameters
+from targets.sim.autopilots.mavlink_params import SimulatedParameters
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 from targets.sim.sensing.own_gps import OwnGps
 
 LOST = 7.5  # seconds without a fix of its own GPS after which the EKF gives up its position
@@ -57,7 +57,7 @@ class Estimate:
     yaw: float = 0.0
 
 
-class Estimator:
+class SimulatedEstimator:
     """Simulated EKF. `boot` in seconds; `noise` (m) of its own GPS.
 
     `say(severity, text)` sends a STATUSTEXT. `resets_datum`: the first pose after the origin resets the height
@@ -65,20 +65,20 @@ class Estimator:
 
     def __init__(
         self,
-        params: Parameters,
+        params: SimulatedParameters,
         frame: LocalFrame,
         boot: float,
         noise: float,
         seed: str,
         say: Callable[[int, str], None],
-        upset: Upset | None = None,
+        fault_state: FaultState | None = None,
         resets_datum: bool = True,
     ) -> None:
         self._resets_datum = resets_datum
         self._datum: float | None = None  # m: the vehicle's height above the origin when the height datum was reset
         self._params, self._frame, self._boot, self._say = params, frame, boot, say
         self._random = random.Random(seed)
-        self._own = OwnGps(noise, upset or Upset(), self._random)
+        self._own = OwnGps(noise, fault_state or FaultState(), self._random)
         turn = self._random.uniform(0.0, math.tau)
         self._settle = random.Random(f"{seed}/imus").uniform(0.0, IMUS_SETTLE * boot)
         self._settled = math.inf  # time from which on its IMUs agree
@@ -145,7 +145,7 @@ class Estimator:
         estimate.yaw = truth.yaw + self._yaw_error
         if not own:
             self._past.append((now, estimate.position))
-        if not self.ready or not own or self._own.upset.positioning.dropout:
+        if not self.ready or not own or self._own.fault_state.positioning.dropout:
             self._progress(now, now - self.started)
 
     def _progress(self, now: float, age: float) -> None:
@@ -180,13 +180,13 @@ class Estimator:
         self.place, self.origin = place, LocalFrame(*place)
         self._say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
 
-    def take_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
+    def receive_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
         """Handle SET_GPS_GLOBAL_ORIGIN. Before initialisation it is lost; a second one changes nothing."""
         latitude, longitude = message.latitude * 1e-7, message.longitude * 1e-7
         if self.initialised and self.origin is None and abs(latitude) <= 90 and abs(longitude) <= 180:
             self._set_origin((latitude, longitude, message.altitude * 1e-3))
 
-    def take_gps(self, message: mavlink.MAVLink_gps_input_message, now: float) -> None:
+    def receive_gps(self, message: mavlink.MAVLink_gps_input_message, now: float) -> None:
         """Handle GPS_INPUT."""
         time = message.time_week, message.time_week_ms
         if self.source != "gps_input" or message.fix_type < 3 or not math.isfinite(message.alt):
@@ -202,9 +202,9 @@ class Estimator:
         elif source == GPS_YAW:
             return  # without a yaw the EKF does not start
         delay = self._params.of("GPS1_DELAY_MS") / 1000 or DEFAULT_GPS_DELAY
-        self._take(place, yaw, delay, 1.0, now)
+        self._correct(place, yaw, delay, 1.0, now)
 
-    def take_vision(self, position: Vector, yaw: float, now: float) -> None:
+    def receive_vision(self, position: Vector, yaw: float, now: float) -> None:
         """Handle VISION_POSITION_ESTIMATE or ODOMETRY: NED about the EKF's origin, yaw from north."""
         if self.source != "vision" or self.origin is None or not all(map(math.isfinite, (*position, yaw))):
             return
@@ -213,9 +213,9 @@ class Estimator:
             self._datum = -down if self._resets_datum else 0.0
         place = self._frame.enu(*self.origin.geodetic(east, north, self._datum - down))
         heading = math.pi / 2 - yaw if self._params.of("EK3_SRC1_YAW") == VISION else None
-        self._take(place, heading, self._params.of("VISO_DELAY_MS") / 1000, VISION_PERIOD, now)
+        self._correct(place, heading, self._params.of("VISO_DELAY_MS") / 1000, VISION_PERIOD, now)
 
-    def _take(self, place: Vector, yaw: float | None, delay: float, gap: float, now: float) -> None:
+    def _correct(self, place: Vector, yaw: float | None, delay: float, gap: float, now: float) -> None:
         """Correct the estimate by a measurement that is `delay` seconds old."""
         since = now - self._measured
         if since > gap:
@@ -225,7 +225,7 @@ class Estimator:
             self._error = _plus(self._error, _plus(place, self.estimate.position, -1.0), 1.0)
             self._drift = (0.0, 0.0, 0.0)
         else:
-            innovation = _plus(place, self._then(now - delay), -1.0)
+            innovation = _plus(place, self._position_at(now - delay), -1.0)
             self._error = _plus(self._error, innovation, POSITION_SHARE)
             self._drift = _plus(self._drift, innovation, VELOCITY_SHARE / max(since, 0.02))
         if yaw is not None:
@@ -234,7 +234,7 @@ class Estimator:
         self._arrivals.append(now)
         self._measured = now
 
-    def _then(self, time: float) -> Vector:
+    def _position_at(self, time: float) -> Vector:
         """Return the position that was estimated at `time`."""
         for at, position in reversed(self._past):
             if at <= time:

@@ -173,7 +173,7 @@ YAW_GAIN, YAW_RATE = 1.5, 1.0  # rad/s per rad, and the largest rad/s
 TURNS_ABOVE = 0.05  # share of the speed limit; above it, the nose turns into the direction of flight (AC_PosControl)
 
 
-class Aim(enum.Enum):
+class GuidanceMode(enum.Enum):
     """Submode of GUIDED, landing, or free fall: the kind of the present target."""
 
     HOLD = enum.auto()  # brake, then hold the position
@@ -185,7 +185,7 @@ class Aim(enum.Enum):
     FALL = enum.auto()  # a manual mode without a pilot
 
 
-FOLLOWING = (Aim.POSITION, Aim.VELOCITY, Aim.POSITION_VELOCITY)
+FOLLOWING = (GuidanceMode.POSITION, GuidanceMode.VELOCITY, GuidanceMode.POSITION_VELOCITY)
 
 
 class Guidance:
@@ -201,7 +201,7 @@ class Guidance:
         self.up, self.down = self.default_up, self.default_down = SPEED_UP, SPEED_DOWN
         self.timeout = TIMEOUT
         self.looks_ahead = True
-        self.aim = Aim.HOLD
+        self.aim = GuidanceMode.HOLD
         self.position: Vector = STILL
         self.velocity: Vector = STILL
         self.push: Vector = STILL  # m/s^2, feed-forward to the velocity
@@ -209,15 +209,17 @@ class Guidance:
         self.descends = 0.0  # time when a LAND begins to descend
         self.yaw = 0.0
         self.yaw_rate = 0.0
-        self._yaw_told = False
+        self._has_yaw_setpoint = False
         self._begun = False
         self._level, self._height = horizontal(), vertical()
 
-    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
+    def go(
+        self, aim: GuidanceMode, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL
+    ) -> None:
         """Set a target, of the present kind or of another."""
         if aim is not self.aim:
             self._begun = False
-            if aim is not Aim.TAKEOFF:  # a change to take-off is the only one that keeps the speeds
+            if aim is not GuidanceMode.TAKEOFF:  # a change to take-off is the only one that keeps the speeds
                 self.take_default_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
@@ -229,12 +231,12 @@ class Guidance:
 
     def land(self, now: float, position: Vector, pause: float) -> None:
         """Descend after `pause` seconds."""
-        self.go(Aim.LAND, now, position)
+        self.go(GuidanceMode.LAND, now, position)
         self.descends = now + pause
 
     def turn(self, yaw: float | None, rate: float) -> None:
         """Apply the yaw of the last setpoint: none, an angle, a rate, or both."""
-        self._yaw_told = yaw is not None or rate != 0.0 or self.aim not in FOLLOWING
+        self._has_yaw_setpoint = yaw is not None or rate != 0.0 or self.aim not in FOLLOWING
         self.yaw_rate = rate
         if yaw is not None:
             self.yaw = yaw
@@ -242,7 +244,7 @@ class Guidance:
     def stop(self, now: float, position: Vector) -> None:
         """Brake and hold, whatever the present target is (ModeGuided::init)."""
         self._begun = False
-        self.go(Aim.HOLD, now, position)
+        self.go(GuidanceMode.HOLD, now, position)
 
     def rest(self) -> None:
         """Prepare for a restart of the controllers: the vehicle is on the ground."""
@@ -254,14 +256,14 @@ class Guidance:
         """Return the commanded yaw rate for the estimated yaw."""
         self.yaw += self.yaw_rate * dt
         velocity = self._level.path.velocity
-        if self.looks_ahead and not self._yaw_told and abs(velocity) > TURNS_ABOVE * self.speed:
+        if self.looks_ahead and not self._has_yaw_setpoint and abs(velocity) > TURNS_ABOVE * self.speed:
             self.yaw = cmath.phase(velocity)
         wanted = YAW_GAIN * math.remainder(self.yaw - yaw, math.tau) + self.yaw_rate
         return max(-YAW_RATE, min(YAW_RATE, wanted))
 
     def acceleration(self, position: Vector, velocity: Vector, now: float, dt: float) -> Vector:
         """Return the commanded acceleration for the estimated position and velocity. `dt` is positive."""
-        if self.aim is Aim.FALL:
+        if self.aim is GuidanceMode.FALL:
             return 0.0, 0.0, -9.0
         at, moving = complex(position[0], position[1]), complex(velocity[0], velocity[1])
         if not self._begun:
@@ -282,15 +284,15 @@ class Guidance:
         level, up = self._level.path, self._height.path
         (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, self.push
         match self.aim:
-            case Aim.POSITION | Aim.TAKEOFF:
+            case GuidanceMode.POSITION | GuidanceMode.TAKEOFF:
                 fast, rising = self._speeds(abs(complex(x, y) - level.position), z - up.position)
                 level.seek(complex(x, y), 0j, 0j, fast, dt)
                 up.seek(z, 0.0, 0.0, rising, dt)
-            case Aim.POSITION_VELOCITY:
+            case GuidanceMode.POSITION_VELOCITY:
                 level.seek(complex(x, y), complex(vx, vy), complex(ax, ay), self.speed, dt)
                 up.seek(z, vz, az, self.up if z > up.position else self.down, dt)
                 self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
-            case Aim.LAND:
+            case GuidanceMode.LAND:
                 level.match(0j, 0j, dt)
                 fast = LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST
                 up.match(-fast if now >= self.descends else 0.0, 0.0, dt)

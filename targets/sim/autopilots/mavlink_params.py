@@ -70,7 +70,7 @@ PREPARED: Mapping[str, Mapping[str, float]] = {
 }
 
 
-class Parameters(dict[str, float]):
+class SimulatedParameters(dict[str, float]):
     """Parameter values by the names of `version`; `of` reads them by their present names.
 
     A version that ends in DEVELOPMENT is a development build before the release."""
@@ -101,7 +101,7 @@ class Parameters(dict[str, float]):
         """Return the parameter's MAV_PARAM_TYPE."""
         return int(self._kinds.get(name, REAL))
 
-    def told(self, name: str, index: int = -1) -> mavlink.MAVLink_param_value_message | None:
+    def value_message(self, name: str, index: int = -1) -> mavlink.MAVLink_param_value_message | None:
         """Return PARAM_VALUE of the parameter with this name, or with this index if >= 0.
 
         None if there is none."""

@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import ACCEPTED, CRITICAL, DENIED, INFO, WARNING, Copter
-from targets.sim.autopilots.mavlink_guided import Aim, Vector
-from targets.sim.autopilots.mavlink_params import REAL, Parameter, Parameters
+from targets.sim.autopilots.mavlink_guided import GuidanceMode, Vector
+from targets.sim.autopilots.mavlink_params import REAL, Parameter, SimulatedParameters
 from targets.sim.autopilots.mavlink_reports import Reports
 from targets.sim.autopilots.mavlink_telemetry import Message
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
 REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
@@ -72,15 +72,15 @@ STREAMS = {
 }
 
 
-class Px4Parameters(Parameters):
+class Px4Parameters(SimulatedParameters):
     """PX4's parameters: one name each, integers sent as bytes."""
 
     def __init__(self, positioning: str) -> None:
         super().__init__(table=PARAMETERS)
         self.update(PREPARED.get(positioning, {}))
 
-    def told(self, name: str, index: int = -1) -> Message | None:
-        message = super().told(name, index)
+    def value_message(self, name: str, index: int = -1) -> Message | None:
+        message = super().value_message(name, index)
         if message is not None and message.param_type == INTEGER:
             message.param_value = struct.unpack("<f", struct.pack("<i", int(message.param_value)))[0]
         return message
@@ -100,7 +100,7 @@ class Px4(Copter):
     resets_datum = False
     odometry_frames = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
-    def __init__(self, boot: float, params: Parameters, frame: LocalFrame) -> None:
+    def __init__(self, boot: float, params: SimulatedParameters, frame: LocalFrame) -> None:
         super().__init__(boot, params)
         self._frame = frame
         self.mode = HOLD
@@ -163,13 +163,13 @@ class Px4(Copter):
     def set_mode(self, mode: int, now: float) -> int:
         if mode not in MODES:
             return DENIED
-        if mode == POSITION or not self.estimator.ready or (mode == OFFBOARD and not self._offered(now)):
+        if mode == POSITION or not self.estimator.ready or (mode == OFFBOARD and not self._has_setpoint_stream(now)):
             self.say(CRITICAL, "Switching to this mode is currently not available")
             return REJECTED
         self.enter(mode, now)
         return ACCEPTED
 
-    def _offered(self, now: float) -> bool:
+    def _has_setpoint_stream(self, now: float) -> bool:
         """Return whether setpoints arrive fast enough, and have for long enough."""
         if self._setpoint is None or self._streaming is None:
             return False
@@ -187,7 +187,7 @@ class Px4(Copter):
         if mode == LAND:
             self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
         elif mode == TAKEOFF:
-            self.guidance.go(Aim.TAKEOFF, now, (x, y, z + self.params["MIS_TAKEOFF_ALT"]))
+            self.guidance.go(GuidanceMode.TAKEOFF, now, (x, y, z + self.params["MIS_TAKEOFF_ALT"]))
         else:
             self.guidance.stop(now, (x, y, z))
 
@@ -216,7 +216,7 @@ class Px4(Copter):
         if not self.armed or self.landed:
             return REJECTED
         self.enter(HOLD, now)
-        self.guidance.go(Aim.POSITION, now, place)
+        self.guidance.go(GuidanceMode.POSITION, now, place)
         return ACCEPTED
 
     def watch(self, now: float) -> None:
@@ -225,7 +225,11 @@ class Px4(Copter):
             return
         guidance, height = self.guidance, self.position[2]
         if self.landed:
-            rises = guidance.aim is Aim.TAKEOFF or guidance.position[2] > height + RISES or guidance.velocity[2] > RISES
+            rises = (
+                guidance.aim is GuidanceMode.TAKEOFF
+                or guidance.position[2] > height + RISES
+                or guidance.velocity[2] > RISES
+            )
             if self.mode in (OFFBOARD, TAKEOFF) and rises:
                 self.landed = False
             elif now - self._armed_at > self.params["COM_DISARM_PRFLT"]:
@@ -255,8 +259,8 @@ class Px4(Copter):
 class Px4Reports(Reports):
     """PX4's reports: estimator state in ESTIMATOR_STATUS, no target in global coordinates."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
-        super().__init__(copter, frame, upset)
+    def __init__(self, copter: Copter, frame: LocalFrame, fault_state: FaultState | None = None) -> None:
+        super().__init__(copter, frame, fault_state)
         del self.makers[mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT]
         del self.makers[mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT]
         self.makers[mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS] = self._estimator_status

@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import Copter
-from targets.sim.autopilots.mavlink_guided import STILL, Aim, Vector
+from targets.sim.autopilots.mavlink_guided import STILL, GuidanceMode, Vector
 from targets.sim.autopilots.mavlink_telemetry import Maker, Message
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
 OFFICIAL, DEVELOPMENT = 255, 0  # FIRMWARE_VERSION_TYPE
 CAPABILITIES = (
@@ -43,10 +43,10 @@ ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 class Reports:
     """Builders of reports by message number. `frame` is the fleet's."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
+    def __init__(self, copter: Copter, frame: LocalFrame, fault_state: FaultState | None = None) -> None:
         self.copter, self.frame = copter, frame
         self._charge = 1.0  # share of the battery's charge that flying has left
-        self._upset = upset or Upset()
+        self._fault_state = fault_state or FaultState()
         self._drained: float | None = None
         self._seen = 0.0
         self.makers: dict[int, Maker] = {
@@ -71,7 +71,7 @@ class Reports:
     @property
     def battery(self) -> float:
         """Share of the battery's charge that is left."""
-        return min(self._charge, self._upset.battery)
+        return min(self._charge, self._fault_state.battery)
 
     def drain(self, now: float) -> None:
         """Drain the battery for the time in the air."""
@@ -190,11 +190,11 @@ class Reports:
         if target is None or not self.copter.shows_target:
             return None
         match guidance.aim:
-            case Aim.POSITION:
+            case GuidanceMode.POSITION:
                 mask, (vx, vy, vz) = POSITION_ONLY, STILL
-            case Aim.TAKEOFF:  # ArduPilot reports the target of GUIDED here, which a take-off does not have
+            case GuidanceMode.TAKEOFF:  # ArduPilot reports the target of GUIDED here, which a take-off does not have
                 mask, (vx, vy, vz), target = POSITION_ONLY, STILL, STILL
-            case Aim.POSITION_VELOCITY:
+            case GuidanceMode.POSITION_VELOCITY:
                 mask, (vx, vy, vz) = NO_YAW, guidance.velocity
             case _:
                 mask, (vx, vy, vz), target = NO_YAW | NO_POSITION, guidance.velocity, STILL
@@ -204,7 +204,7 @@ class Reports:
 
     def _global_target(self, now: float) -> Message | None:
         guidance = self.copter.guidance
-        if not self.copter.shows_target or guidance.aim is not Aim.POSITION:
+        if not self.copter.shows_target or guidance.aim is not GuidanceMode.POSITION:
             return None
         return mavlink.MAVLink_position_target_global_int_message(
             self.clock(now), mavlink.MAV_FRAME_GLOBAL, 0xF000 | POSITION_ONLY, *self.place(guidance.position),
@@ -216,7 +216,7 @@ class Reports:
             state = mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self.copter.landing:
             state = mavlink.MAV_LANDED_STATE_LANDING
-        elif self.copter.guidance.aim is Aim.TAKEOFF:
+        elif self.copter.guidance.aim is GuidanceMode.TAKEOFF:
             state = mavlink.MAV_LANDED_STATE_TAKEOFF
         else:
             state = mavlink.MAV_LANDED_STATE_IN_AIR

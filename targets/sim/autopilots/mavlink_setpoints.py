@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import DENIED, Copter
-from targets.sim.autopilots.mavlink_guided import STILL, Aim, Vector
+from targets.sim.autopilots.mavlink_guided import STILL, GuidanceMode, Vector
 from targets.sim.autopilots.mavlink_telemetry import Message
 
 NO_POSITION, NO_VELOCITY, NO_ACCELERATION = 0x007, 0x038, 0x1C0
@@ -22,16 +22,20 @@ ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RE
 LOCAL = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED)  # about the EKF's origin
 OFFSET = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # about the vehicle's position
 BODY = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # x forward, for offsets and velocities
-AIMS = {(True, False): Aim.POSITION, (False, True): Aim.VELOCITY, (True, True): Aim.POSITION_VELOCITY}
+AIMS = {
+    (True, False): GuidanceMode.POSITION,
+    (False, True): GuidanceMode.VELOCITY,
+    (True, True): GuidanceMode.POSITION_VELOCITY,
+}
 
 
-def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: float) -> bool:
+def handle_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: float) -> bool:
     """Apply a setpoint to the copter's guidance. Return False if it has aborted the autopilot."""
     copter.heard_setpoint(now)
     estimate, ekf = copter.estimator.estimate, copter.estimator.origin
     if not copter.following or ekf is None:
         return True
-    uses = _uses(message.type_mask)
+    uses = _used_fields(message.type_mask)
     globally = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
     if uses is None or message.coordinate_frame not in (AMSL + ABOVE_HOME if globally else LOCAL + OFFSET):
         copter.refuse_setpoint(now)
@@ -42,9 +46,9 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
             return not copter.fragile
         position = _global(message, copter, frame) if globally else _local(message, copter, frame, ekf)
     if uses[1]:
-        velocity = _turned(message, message.vx, message.vy, message.vz, estimate.yaw)
+        velocity = _to_enu(message, message.vx, message.vy, message.vz, estimate.yaw)
     if not message.type_mask & NO_ACCELERATION:
-        push = _turned(message, message.afx, message.afy, message.afz, estimate.yaw)
+        push = _to_enu(message, message.afx, message.afy, message.afz, estimate.yaw)
     if not all(map(math.isfinite, velocity + push)):
         return True
     copter.guidance.go(AIMS[uses], now, position, velocity, push)
@@ -68,7 +72,7 @@ def _home_altitude(copter: Copter, frame: LocalFrame) -> float:
     return 0.0 if copter.home is None else frame.geodetic(*copter.home)[2]
 
 
-def _uses(mask: int) -> tuple[bool, bool] | None:
+def _used_fields(mask: int) -> tuple[bool, bool] | None:
     """Return whether position and velocity are used.
 
     None for an invalid mask: a part of a group, or an acceleration without velocity."""
@@ -89,12 +93,12 @@ def _local(message: Message, copter: Copter, frame: LocalFrame, ekf: LocalFrame)
     if message.coordinate_frame in LOCAL:
         return frame.enu(*ekf.geodetic(message.y, message.x, -message.z))
     estimate = copter.estimator.estimate
-    x, y, z = _turned(message, message.x, message.y, message.z, estimate.yaw)
+    x, y, z = _to_enu(message, message.x, message.y, message.z, estimate.yaw)
     here = estimate.position
     return here[0] + x, here[1] + y, here[2] + z
 
 
-def _turned(message: Message, x: float, y: float, z: float, yaw: float) -> Vector:
+def _to_enu(message: Message, x: float, y: float, z: float, yaw: float) -> Vector:
     """Convert a vector from the message's frame (NED or FRD) to ENU."""
     if message.coordinate_frame not in BODY:
         return y, x, -z

@@ -15,7 +15,7 @@ _FAST, _NEVER = 1 / 50, math.inf  # seconds
 _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
-class Telemetry:
+class SimulatedTelemetry:
     """Message streams with rates that SET_MESSAGE_INTERVAL sets.
 
     `makers` build the messages. `streams` are the default rates (Hz). `said` holds STATUSTEXTs to be sent."""

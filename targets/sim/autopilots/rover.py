@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.base.settings import decode
-from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, Parameters
-from targets.sim.autopilots.mavlink_telemetry import Message, Telemetry
+from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, SimulatedParameters
+from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
 from targets.sim.base.bodies import Car, DeviceContext
 from targets.sim.base.ports import Port
 
@@ -75,9 +75,9 @@ class SimulatedRover:
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._sticks,
         }
-        self.parameters = Parameters(table=PARAMETERS)
+        self.parameters = SimulatedParameters(table=PARAMETERS)
         self.said: list[tuple[int, str]] = []
-        self._telemetry = Telemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
+        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -89,7 +89,7 @@ class SimulatedRover:
         self._now = now
         for datagram in self._port.receive():
             for message in self._mavlink.parse_buffer(bytearray(datagram)) or ():
-                self._take(message, now)
+                self._handle(message, now)
         self._drive(now)
         self._telemetry.step(now)
 
@@ -114,7 +114,7 @@ class SimulatedRover:
         if throttle == 0.0:
             self._body.brake(self._settings.braking)
 
-    def _take(self, message: Message, now: float) -> None:
+    def _handle(self, message: Message, now: float) -> None:
         if getattr(message, "target_system", 1) not in (0, 1):
             return
         match message.get_msgId():
@@ -126,13 +126,13 @@ class SimulatedRover:
                     elif value != 65535:
                         self._override[channel] = (value, now)
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
-                if (told := self.parameters.told(message.param_id, message.param_index)) is not None:
-                    self._send(told)  # an unknown parameter is not answered
+                if (value_message := self.parameters.value_message(message.param_id, message.param_index)) is not None:
+                    self._send(value_message)  # an unknown parameter is not answered
             case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                result = self._obey(message, now)
+                result = self._execute(message, now)
                 self._send(mavlink.MAVLink_command_ack_message(message.command, result))
 
-    def _obey(self, message: Message, now: float) -> int:
+    def _execute(self, message: Message, now: float) -> int:
         accepted, failed = int(mavlink.MAV_RESULT_ACCEPTED), int(mavlink.MAV_RESULT_FAILED)
         match message.command:
             case mavlink.MAV_CMD_DO_SET_MODE:

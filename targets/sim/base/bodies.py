@@ -14,8 +14,8 @@ import msgspec
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Platform
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Loopback, Wiring
-from targets.sim.base.upset import Upset
 
 Vector = tuple[float, float, float]
 
@@ -29,7 +29,7 @@ class BodyState(msgspec.Struct, frozen=True):
     yaw_rate: float
 
 
-class Asked(msgspec.Struct, frozen=True, array_like=True):
+class BodyCommand(msgspec.Struct, frozen=True, array_like=True):
     """Command for a body from another process: the name of a method and its arguments."""
 
     what: str
@@ -74,7 +74,7 @@ class DeviceContext:
 
     `settings`: the robot's own (`body` in its settings.json). `harness`: settings of the sim target. `origin`: WGS-84
     (degrees, degrees, metres). `key`: the run's fleet key. `wiring`: creates the device's ends of its connections to
-    the agent. `upset`: faults that are present now. `application`: the fleet's application_id."""
+    the agent. `fault_state`: faults that are present now. `application`: the fleet's application_id."""
 
     robot: str
     settings: Mapping[str, Any]
@@ -83,7 +83,7 @@ class DeviceContext:
     seed: int
     key: bytes
     wiring: Wiring = field(default_factory=Loopback)
-    upset: Upset = field(default_factory=Upset)
+    fault_state: FaultState = field(default_factory=FaultState)
     application: int = 0
 
 
@@ -106,7 +106,7 @@ class Device(Protocol):
 
 
 @runtime_checkable
-class Embodied(Protocol):
+class DirectlyDriven(Protocol):
     """Device that commands its body directly, without a simulated autopilot.
 
     In lockstep the agent uses this device's platform instead of its target's."""

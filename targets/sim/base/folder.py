@@ -22,7 +22,7 @@ FILES = (
 FOLDERS = ("plots", "robots", SOURCE)
 
 
-class Foreign(Exception):
+class ForeignFolder(Exception):
     """The folder must not be used; the message names the file that prevents it."""
 
     hint = "choose another folder with --out"
@@ -65,7 +65,7 @@ class RunFolder:
             fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._marker.close()
-            raise Foreign(f"{self.path}: another run is writing there") from None
+            raise ForeignFolder(f"{self.path}: another run is writing there") from None
         recorded = _recorded(self.path)
         for name in {*FILES, *recorded}:
             (self.path / name).unlink(missing_ok=True)
@@ -87,12 +87,12 @@ class RunFolder:
 
     def _refuse_foreign(self) -> None:
         if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
-            raise Foreign(f"{self.path}: is not a folder, so a run cannot write there")
+            raise ForeignFolder(f"{self.path}: is not a folder, so a run cannot write there")
         if not self.path.is_dir():
             return
         found = {entry.name for entry in self.path.iterdir()}
         if found and MARKER not in found:
-            raise Foreign(f"{self.path}: has files that no run wrote ({sorted(found)[0]})")
+            raise ForeignFolder(f"{self.path}: has files that no run wrote ({sorted(found)[0]})")
         recorded = _recorded(self.path)
         strange = sorted(found - {MARKER, *FILES, *FOLDERS} - {Path(name).parts[0] for name in recorded})
         for name in recorded:  # a folder written by koordgen must have no other files
@@ -101,4 +101,4 @@ class RunFolder:
                 own = (each.relative_to(self.path).as_posix() for each in beside.iterdir())
                 strange += sorted(set(own) - recorded)
         if strange:
-            raise Foreign(f"{self.path / strange[0]}: no run wrote it, and a new run would clear the folder")
+            raise ForeignFolder(f"{self.path / strange[0]}: no run wrote it, and a new run would clear the folder")

@@ -40,7 +40,7 @@ def medium(schedule: Schedule, names: Sequence[str]) -> Medium:
     return Medium(whole, tuple((pids[link.sender], pids[link.receiver], link.over(whole)) for link in schedule.links))
 
 
-def parted(whole: Medium, groups: Sequence[Sequence[str]], names: Sequence[str]) -> Medium:
+def partition(whole: Medium, groups: Sequence[Sequence[str]], names: Sequence[str]) -> Medium:
     """Partition the medium: robots reach only their own group. A robot in no group reaches nobody."""
     number = {name: k for k, group in enumerate(groups) for name in group}
     alone = {name: len(groups) + pid for pid, name in enumerate(names)}

@@ -29,7 +29,7 @@ class Port(Protocol):
     def close(self) -> None: ...
 
 
-class Numbered(Port, Protocol):
+class NumberedPort(Port, Protocol):
     """Port with a UDP number on loopback, where the agent finds it."""
 
     number: int
@@ -52,7 +52,7 @@ class Terminal(Protocol):
 class Wiring(Protocol):
     """Factory of a device's ports and serial lines."""
 
-    def port(self) -> Numbered: ...
+    def port(self) -> NumberedPort: ...
 
     def terminal(self) -> Terminal: ...
 
@@ -60,7 +60,7 @@ class Wiring(Protocol):
 class Loopback:
     """Wiring for agents that are processes of their own."""
 
-    def port(self) -> Numbered:
+    def port(self) -> NumberedPort:
         return UdpPort()
 
     def terminal(self) -> Terminal:
@@ -96,7 +96,7 @@ class PseudoTerminal:
         self._master = self._slave = -1
 
 
-class Numbers:
+class PortNumbers:
     """Pool of UDP ports on loopback that stay free until their agents bind them, seconds later.
 
     No other device gets the same number, here or in another run on this host: a process reserves a block of numbers by
@@ -134,7 +134,7 @@ class Numbers:
             each.close()
 
 
-NUMBERS = Numbers()
+NUMBERS = PortNumbers()
 
 
 class UdpPort:

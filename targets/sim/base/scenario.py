@@ -29,7 +29,7 @@ class BadScenario(Exception):
         self.hint = hint
 
 
-class Origin(msgspec.Struct, frozen=True):
+class GeodeticOrigin(msgspec.Struct, frozen=True):
     """WGS-84 position of the local frame's origin: degrees, and metres above mean sea level."""
 
     latitude: float
@@ -100,7 +100,7 @@ class Scenario(msgspec.Struct, frozen=True):
     source: str
     program_hash: str
     delta: float
-    origin: Origin
+    origin: GeodeticOrigin
     geofence: Box
     robots: tuple[Robot, ...]
     obstacles: tuple[Obstacle, ...] = ()  # obstacles of the world, walls last; numbered from 0
@@ -139,7 +139,7 @@ def load(root: Path, settings: Path | None = None) -> Scenario:
         raise BadScenario(f"{path}: {error}", "build the bundle again") from None
     _check(path, root, scenario)
     if settings is not None:
-        scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+        scenario = msgspec.structs.replace(scenario, harness=_with_overrides(scenario.harness, settings))
     if scenario.engine not in (AUTO, *PACKAGES):
         raise BadScenario(f"engine is {scenario.engine!r}", f"there are: {', '.join((AUTO, *PACKAGES))}")
     return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
@@ -241,7 +241,7 @@ def _inside(box: Box, place: Vector) -> bool:
     return all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in zip(box.lo, place, box.hi, strict=True))
 
 
-def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:
+def _with_overrides(harness: dict[str, Any], path: Path) -> dict[str, Any]:
     given = _object(path)
     for key, value in given.items():
         if key not in harness:

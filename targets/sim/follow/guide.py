@@ -19,11 +19,11 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Robot
-from targets.sim.follow.plan import Plan, Values
+from targets.sim.follow.plan import ReplayPlan, Values
 from targets.sim.follow.plan import Round as Planned
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Outcome, Run
+from targets.sim.run.run_interface import AgentHandle
 
 IDLE = "no event enabled"
 EARLY = 0.01  # share of a round by which a robot's clock may be ahead of the start of its round
@@ -32,10 +32,10 @@ HELD, VIOLATED, DIFFERS = 0, 3, 70
 _encode = msgspec.json.Encoder(enc_hook=repr).encode
 
 
-class Guide:
+class ReplayGuide:
     """Companion of a run that replays a plan. `measured` names the sensors that measure bodies."""
 
-    def __init__(self, plan: Plan, robots: tuple[Robot, ...], delta: float, measured: tuple[str, ...]) -> None:
+    def __init__(self, plan: ReplayPlan, robots: tuple[Robot, ...], delta: float, measured: tuple[str, ...]) -> None:
         self.plan, self.delta = plan, delta
         self._robots, self._measured = robots, measured
         self._zero: float | None = None  # time at which round 1 began
@@ -51,7 +51,7 @@ class Guide:
     def step(self, at: float, states: list[BodyState]) -> None:
         """See Companion."""
 
-    def heard(self, agent: Agent, records: list[Any]) -> None:
+    def heard(self, agent: AgentHandle, records: list[Any]) -> None:
         """See Companion."""
 
     def end(self, at: float) -> None:
@@ -233,12 +233,12 @@ class Guide:
         return f"the run violates it at {found.t:.3f} s" if found else "the run does not violate it"
 
 
-class FollowedBody:
+class ReplayPlatform:
     """Platform whose sensors and callable ports answer from the plan. `round_` returns the agent's round."""
 
     period = 0.05
 
-    def __init__(self, guide: Guide, pid: int, program: Program, round_: Callable[[], int]) -> None:
+    def __init__(self, guide: ReplayGuide, pid: int, program: Program, round_: Callable[[], int]) -> None:
         self._guide, self._pid, self._round = guide, pid, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}

@@ -14,7 +14,7 @@ Values = dict[str, Any]  # by name, in JSON
 Calls = dict[int, list[tuple[str, list[Any], Any]]]  # by pid: port, arguments, answer
 
 
-class State(msgspec.Struct, frozen=True):
+class FleetState(msgspec.Struct, frozen=True):
     """State of a fleet at a round's start.
 
     By robot: locals, ports ("Module.port"), and whether it has stopped. `shared`: the shared store; an allread variable
@@ -35,7 +35,7 @@ class Round(msgspec.Struct, frozen=True):
     line: int
     events: dict[int, str]
     free: bool
-    state: State
+    state: FleetState
     calls: Calls = {}
 
 
@@ -49,7 +49,7 @@ class Ending(msgspec.Struct, frozen=True):
     event: str = ""
 
 
-class Plan(msgspec.Struct, frozen=True):
+class ReplayPlan(msgspec.Struct, frozen=True):
     """Plan of a replayed counterexample.
 
     `initial`: robots begin with their `init` instead of the first round's state. The ending must be found after the
@@ -72,10 +72,10 @@ class Plan(msgspec.Struct, frozen=True):
         return "run" if self.initial else "step"
 
 
-def load(path: Path, program_hash: str, n_sys: int) -> Plan:
+def load(path: Path, program_hash: str, n_sys: int) -> ReplayPlan:
     """Read a plan and check that it fits the program and the number of robots. Raises BadScenario."""
     try:
-        plan = msgspec.convert(json.loads(path.read_text(encoding="utf-8")), Plan, strict=False)
+        plan = msgspec.convert(json.loads(path.read_text(encoding="utf-8")), ReplayPlan, strict=False)
     except (OSError, ValueError, RecursionError, msgspec.ValidationError) as error:
         told = getattr(error, "strerror", None) or error
         raise BadScenario(f"{path}: {told}", "create the file with `koordgen sim --follow TRACE`") from None

@@ -19,7 +19,7 @@ from koordgen.runtime.agent.rounds import PUBLISH
 from koordgen.runtime.program.runner import LATE
 from koordgen.runtime.trace.schema import Mark, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -112,7 +112,7 @@ class HostLoad:
             if process is not None and counter is not None:
                 self._found.setdefault(name, _Process()).sample(now, process, counter)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         name = agent.robot.name
         for record in records:
             if not isinstance(record, Round) or record.fault is None:

@@ -13,8 +13,8 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Init, Round, Stream, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Run
+from targets.sim.run.run_interface import AgentHandle
 
 SAME = 0.2
 IDLE_TIMEOUT = 60.0  # seconds
@@ -50,7 +50,7 @@ class Idle:
         if self._timeout and at - self._since >= self._timeout and self._left():
             self._report(at)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         if not self._timeout:
             return
         for record in records:

@@ -14,7 +14,7 @@ Of = Literal["invariant", "initially", "assume"]
 
 
 @dataclass(slots=True)
-class Watched:
+class JudgedProperty:
     """One property and its result so far.
 
     `at`: time of its first violation or missing value. `left`: time when it became unknown because a robot left the
@@ -95,16 +95,16 @@ class Watched:
         return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.moments)
 
 
-def all_of(found: Properties, n: int) -> list[Watched]:
+def all_of(found: Properties, n: int) -> list[JudgedProperty]:
     """Return all properties and assumptions that can be evaluated, for a fleet of `n` robots."""
     source = found.program.source
     measured = {*found.measured, *(f"{name}'" for name in found.measured)}
     properties = [
-        Watched(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
+        JudgedProperty(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
         for p in found.properties
     ]
     assumptions = [
-        Watched("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
+        JudgedProperty("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
         for a in found.assumptions
     ]
     return [*properties, *assumptions]

@@ -16,8 +16,8 @@ from koordgen.runtime.trace.schema import Verdict as Found
 from targets.sim.base.bodies import Vector
 from targets.sim.run.run import Outcome
 from targets.sim.trace.files import was_late
-from targets.sim.trace.noticed import Monitored, Noticed
-from targets.sim.trace.noticed import as_text as noticed_text
+from targets.sim.trace.monitor_reports import Monitored, MonitorSummary
+from targets.sim.trace.monitor_reports import as_text as noticed_text
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
@@ -104,7 +104,7 @@ class Summary(msgspec.Struct):
     late_steps: int
     steps: int
     late_in_mission: int = 0  # of the late steps
-    noticed: list[Noticed] = []  # violations reported by the robots' own monitors
+    noticed: list[MonitorSummary] = []  # violations reported by the robots' own monitors
     watching: float = 0.0  # share of the run's time that judging its properties took
     shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
@@ -329,7 +329,7 @@ def warned(robot: str, warning: Warned) -> str:
     return f"{robot} at {seconds(warning.since)} s: {warning.text}{often}"
 
 
-def _brought(cause: Cause) -> str:
+def _cause_text(cause: Cause) -> str:
     """Return an injected fault as one line."""
     who = f" ({', '.join(cause.robots)})" if cause.robots else ""
     told = f"at {seconds(cause.t)} s {cause.what}{who}"
@@ -378,7 +378,7 @@ def as_text(summary: Summary) -> str:
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     if summary.causes:
-        lines += ["", "injected faults:", *(f"  {_brought(cause)}" for cause in summary.causes)]
+        lines += ["", "injected faults:", *(f"  {_cause_text(cause)}" for cause in summary.causes)]
     for robot in summary.robots:
         if robot.last_lines:
             lines += ["", f"the last lines of {robot.name}'s log:", *(f"  {line}" for line in robot.last_lines)]

@@ -29,10 +29,10 @@ from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdi
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging.batch import Batch
-from targets.sim.judging.judge import Of, Watched, all_of
+from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Run
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.trace.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which its records are awaited
@@ -110,7 +110,7 @@ class Watcher:
                 self._moments.popleft()
         self.seconds += time.perf_counter() - began
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         began = time.perf_counter()
         pid = agent.robot.pid
         for record in records:
@@ -223,12 +223,12 @@ class Watcher:
                     outcome, why = judged(watched.what.holds, self._known)
                     self._note(watched, outcome, moment.at, why, self._known)
 
-    def _due(self, asked: list[Watched], moments: list[_Moment]) -> dict[int, list[Watched]]:
+    def _due(self, asked: list[JudgedProperty], moments: list[_Moment]) -> dict[int, list[JudgedProperty]]:
         """Return the properties to evaluate one by one, by observation.
 
         A property that reads positions is evaluated at all observations, except those at which its screening shows that
         it holds."""
-        due: dict[int, list[Watched]] = {}
+        due: dict[int, list[JudgedProperty]] = {}
         batch: Batch | None = None
         for watched in asked:
             which = list(range(len(moments))) if watched.moving else [0]
@@ -279,7 +279,7 @@ class Watcher:
             )
             windows.moved(places, velocities, targets, self._gone(moments[-1].at))
 
-    def _due_of_each(self, watched: Watched, moments: list[_Moment]) -> list[list[int]]:
+    def _due_of_each(self, watched: JudgedProperty, moments: list[_Moment]) -> list[list[int]]:
         """Return by pid the observations at which an assumption must be evaluated, as `_due` does."""
         what, last = watched.what, len(moments) - 1
         assert isinstance(what, Assumption)
@@ -293,7 +293,7 @@ class Watcher:
         watched.moments += 0 if watched.decided else (last + 1) * self._n - len(unsure)
         return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
 
-    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
+    def _assumption(self, watched: JudgedProperty, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
         """Evaluate an assumption of one robot in one round.
 
         Unprimed ports have their values right after the program's step, primed ones those of each observation, until
@@ -357,7 +357,7 @@ class Watcher:
         removed = self._view.members[pid] < 0 and zero is not None
         return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
 
-    def _note(self, watched: Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
+    def _note(self, watched: JudgedProperty, outcome: Outcome, at: float, why: str, known: Known) -> None:
         violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
         if violation is not None:
             self._run.mark(violation)

@@ -18,17 +18,17 @@ from koordgen.runtime.net.network import MemoryNetwork
 from koordgen.runtime.program.runner import Interrupting
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.lockstep.resident import Resident, Shared
+from targets.sim.lockstep.agent import LockstepAgent, Shared
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Step
-from targets.sim.run.stage import Stage
+from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.scene import SimulationScene
 
 LONGEST_EVENT = 10.0  # seconds of the host's clock after which an event is interrupted
 ITERATIONS = 400  # iterations of a planner's search
 
 
 class Lockstep:
-    """Lockstep clock and agents of a run. Implements `crew.Conduct`.
+    """Lockstep clock and agents of a run. Implements `crew.AgentsAndClock`.
 
     `root` is the sim bundle; `folder` receives a folder for each robot. The run's key is derived from its seed: nobody
     else receives these datagrams."""
@@ -39,12 +39,12 @@ class Lockstep:
         self._shared = Shared(
             scenario, root, seed, hashlib.sha256(f"lockstep {seed}".encode()).digest(), ITERATIONS, _Longest()
         )
-        self._agents: list[Resident] = []
+        self._agents: list[LockstepAgent] = []
         for robot in scenario.robots:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
             self._agents.append(self.resident(robot, own, self._shared))
-        self._stage: Stage | None = None
+        self._scene: SimulationScene | None = None
         self._steps = 0
         self._began = time.perf_counter()
 
@@ -52,12 +52,12 @@ class Lockstep:
         """Check that all robots can run in lockstep. Raises BadScenario."""
         _check(scenario)
 
-    def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
+    def resident(self, robot: Robot, folder: Path, shared: Shared) -> LockstepAgent:
         """Return a robot's agent, not yet launched."""
-        return Resident(robot, folder, shared)
+        return LockstepAgent(robot, folder, shared)
 
     @property
-    def agents(self) -> list[Resident]:
+    def agents(self) -> list[LockstepAgent]:
         return self._agents
 
     @property
@@ -65,13 +65,15 @@ class Lockstep:
         """Network between the agents."""
         return self._shared.network
 
-    def stage(self) -> Stage:
+    def scene(self) -> SimulationScene:
         shared = self._shared
-        self._stage = Stage(shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now)
-        return self._stage
+        self._scene = SimulationScene(
+            shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now
+        )
+        return self._scene
 
-    def launch(self, stage: Stage) -> None:
-        for agent, actor in zip(self._agents, stage.actors, strict=True):
+    def launch(self, scene: SimulationScene) -> None:
+        for agent, actor in zip(self._agents, scene.actors, strict=True):
             agent.launch(actor)
         self._began = time.perf_counter()
 
@@ -83,7 +85,7 @@ class Lockstep:
     def now(self) -> float:
         return self._shared.clock.time
 
-    def go_on(self, step: Step) -> None:
+    def go_on(self, step: WorldStep) -> None:
         """Step the world once, then poll the agents up to the next step."""
         at, shares = self._steps * STEP, self._shared.shares
         began = shares.begin()
@@ -126,7 +128,7 @@ class Lockstep:
     @property
     def shares(self) -> dict[str, float]:
         """Shares of the processor's time, by part."""
-        return self._shared.shares.told(self._stage.spent if self._stage is not None else 0.0)
+        return self._shared.shares.told(self._scene.spent if self._scene is not None else 0.0)
 
     def close(self) -> None:
         for agent in self._agents:

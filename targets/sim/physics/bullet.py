@@ -16,7 +16,7 @@ from typing import Any
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.contacts import FLOOR_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
+from targets.sim.physics.contacts import FLOOR_FRICTION, TOUCHING, BodyMotionTuple, NoWindow, Solid, Touched
 
 # Collision groups and masks: a body touches the groups in its mask.
 ROBOT, OBSTACLE, FLOOR, NOTHING = 1, 2, 4, 0
@@ -160,14 +160,14 @@ class Bullet:
         """Set a body's pose."""
         self.bullet.resetBasePositionAndOrientation(self._numbers[body], position, orientation, **self._own)
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
         """Step the bodies under control with their velocities and spins. Return their new motions."""
         numbers = []
         for body, velocity, spin in taken:
             numbers.append(self._numbers[body])
             self.bullet.resetBaseVelocity(numbers[-1], velocity, spin, **self._own)
         self.bullet.stepSimulation(**self._own)
-        found: list[Moved] = []
+        found: list[BodyMotionTuple] = []
         for number in numbers:
             place = self.bullet.getBasePositionAndOrientation(number, **self._own)
             found.append((*place, *self.bullet.getBaseVelocity(number, **self._own)))

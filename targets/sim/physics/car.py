@@ -19,7 +19,7 @@ import numpy as np
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.contacts import Solid
 from targets.sim.physics.rigid import Array, Mask, yaws
-from targets.sim.physics.world import GRAVITY, STEP, Kind, Motion, World
+from targets.sim.physics.world import GRAVITY, STEP, BodyKind, BodyMotion, SimulatedWorld
 
 # Tyre model: impulses of two axles in one step, limited by friction.
 #
@@ -91,7 +91,7 @@ _SUSPENSION, _HOP = 20.0, 0.3  # suspension's rate (1/s); climb speed above whic
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class CarDynamics:
     """Dynamics of a car.
 
     Tyre friction (of the weight), servo delay (s), time constant of the speed loop (s)."""
@@ -101,19 +101,19 @@ class Running:
     speed_lag: float = 0.15
 
     @staticmethod
-    def of(harness: Mapping[str, Any]) -> Running:
+    def of(harness: Mapping[str, Any]) -> CarDynamics:
         """Read the settings of the sim target."""
-        return Running(
+        return CarDynamics(
             float(harness.get("tyre_friction", USUAL.friction)),
             float(harness.get("steering_delay", USUAL.steering_delay)),
             float(harness.get("speed_lag", USUAL.speed_lag)),
         )
 
 
-USUAL = Running()
+USUAL = CarDynamics()
 
 
-class RollingKind(Kind):
+class RollingKind(BodyKind):
     """Kind of body on wheels: contact with the floor for cars of both fidelities."""
 
     rolling = True
@@ -207,12 +207,12 @@ class SimulatedCar:
 
     def __init__(
         self,
-        world: World,
+        world: SimulatedWorld,
         start: Vector,
         yaw: float,
         wheelbase: float,
         max_steering: float,
-        running: Running = USUAL,
+        running: CarDynamics = USUAL,
     ) -> None:
         ahead, shape = wheelbase / 2, solid(wheelbase)
         every, self.rigid = world.add(Cars, shape, centre(start, yaw, ahead), yaw)
@@ -234,7 +234,7 @@ class SimulatedCar:
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
+    def motion(self) -> BodyMotion:
         """Return the motion of the centre of mass."""
         return self.rigid.motion()
 
@@ -255,9 +255,9 @@ class SimulatedCar:
             slower = min(abs(self._speed), self._braking * STEP)
             self._speed -= math.copysign(slower, self._speed)
         else:
-            self._speed = _follow(self._speed, self._asked, self._running.speed_lag, MAX_ACCELERATION)
+            self._speed = _step_lag(self._speed, self._asked, self._running.speed_lag, MAX_ACCELERATION)
         self._turns.append(self._angle)
-        self._steering = _follow(self._steering, self._turns.popleft(), STEERING_LAG, MAX_STEERING_RATE)
+        self._steering = _step_lag(self._steering, self._turns.popleft(), STEERING_LAG, MAX_STEERING_RATE)
 
     def rolled(self, yaw: float, velocity: list[float], spin: float) -> tuple[float, float, float]:
         """Return horizontal velocity (world frame) and spin after the tyres' impulses of one step."""
@@ -270,7 +270,7 @@ class SimulatedCar:
         return vx + gained[0], vy + gained[1], spin + turn / chassis.inertia
 
 
-def _follow(value: float, asked: float, lag: float, most: float) -> float:
+def _step_lag(value: float, asked: float, lag: float, most: float) -> float:
     """Step a first-order lag with a limited rate."""
     rate = (asked - value) / lag
     return value + max(-most, min(most, rate)) * STEP

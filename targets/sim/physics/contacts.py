@@ -22,7 +22,7 @@ FLOOR_FRICTION = 0.5  # of a floor with friction 1
 OBSTACLE_FRICTION = 0.5  # PyBullet's default
 
 Quaternion = tuple[float, float, float, float]
-Moved = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
+BodyMotionTuple = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
 
 
 class NoWindow(OSError):
@@ -100,7 +100,7 @@ class Engine(Protocol):
         """Show a body outside the engine's control at this pose."""
         ...
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
         """Step all bodies under control, each with its velocity (m/s) and spin (rad/s).
 
         Returns the new motion of each, in the same order."""

@@ -13,7 +13,7 @@ import numpy as np
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics import car, quadrotor
 from targets.sim.physics.rigid import Array, Mask, total, yaws
-from targets.sim.physics.world import GRAVITY, STEP, Kind, Motion, World
+from targets.sim.physics.world import GRAVITY, STEP, BodyKind, BodyMotion, SimulatedWorld
 
 VELOCITY_LAG = 0.15  # s, of a quad
 MAX_ACCELERATION = 8.0  # m/s^2, of a quad
@@ -25,7 +25,7 @@ _FEET = np.array([0.0, 0.0, quadrotor.HEIGHT / 2])[:, None]
 _SOLID = replace(quadrotor.SOLID, inertia=(15.0, 15.0, quadrotor.INERTIA[2]))
 
 
-class SimpleQuadrotors(Kind):
+class SimpleQuadrotors(BodyKind):
     """All simple quadrotors of a world."""
 
     def __init__(self) -> None:
@@ -58,14 +58,14 @@ class SimpleQuadrotors(Kind):
 class SimpleQuadrotor:
     """One simple quadrotor, commanded by `fly`."""
 
-    def __init__(self, world: World, start: Vector, yaw: float) -> None:
+    def __init__(self, world: SimulatedWorld, start: Vector, yaw: float) -> None:
         centre = (start[0], start[1], start[2] + quadrotor.HEIGHT / 2)
         self._all, self.rigid = world.add(SimpleQuadrotors, _SOLID, centre, yaw)
 
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
+    def motion(self) -> BodyMotion:
         """Return the motion of the centre of mass."""
         return self.rigid.motion()
 
@@ -115,17 +115,17 @@ class SimpleCars(car.RollingKind):
         np.copyto(now.spin[2], rate, where=down)
 
 
-class SimpleCar:
+class SimpleCarBody:
     """One simple car. Implements `bodies.Car`."""
 
     def __init__(
         self,
-        world: World,
+        world: SimulatedWorld,
         start: Vector,
         yaw: float,
         wheelbase: float,
         max_steering: float,
-        running: car.Running = car.USUAL,
+        running: car.CarDynamics = car.USUAL,
     ) -> None:
         ahead = wheelbase / 2
         shape, place = car.solid(wheelbase, stiff=True), car.centre(start, yaw, ahead)
@@ -134,23 +134,23 @@ class SimpleCar:
         self._lag = running.speed_lag
         self.wheelbase = wheelbase
         self._max_steering = max_steering
-        self._told: tuple[float, float] | None = None
+        self._last_command: tuple[float, float] | None = None
         self.drive(0.0, 0.0)
 
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
+    def motion(self) -> BodyMotion:
         """Return the motion of the centre of mass."""
         return self.rigid.motion()
 
     def drive(self, speed: float, steering: float) -> None:
         """See bodies.Car."""
-        if self._told == (speed, steering):
+        if self._last_command == (speed, steering):
             return  # devices repeat their command at every step
         if not (math.isfinite(speed) and math.isfinite(steering)):
             raise ValueError(f"not a speed and a steering angle: {speed}, {steering}")
-        self._told = speed, steering
+        self._last_command = speed, steering
         every, k = self._all, self.rigid.index
         every.asked[0, k] = max(-car.MAX_SPEED, min(car.MAX_SPEED, speed))
         every.asked[1, k] = max(-self._max_steering, min(self._max_steering, steering))
@@ -159,7 +159,7 @@ class SimpleCar:
     def brake(self, deceleration: float) -> None:
         """See bodies.Car."""
         if deceleration > 0.0:
-            self._told = None
+            self._last_command = None
             every, k = self._all, self.rigid.index
             every.asked[0, k], every.eager[k], every.most[k] = 0.0, 1.0 / STEP, deceleration
 

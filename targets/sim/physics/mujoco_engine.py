@@ -22,7 +22,15 @@ import numpy as np
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.contacts import FLOOR_FRICTION, OBSTACLE_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
+from targets.sim.physics.contacts import (
+    FLOOR_FRICTION,
+    OBSTACLE_FRICTION,
+    TOUCHING,
+    BodyMotionTuple,
+    NoWindow,
+    Solid,
+    Touched,
+)
 from targets.sim.physics.rigid import Array, rotations
 
 THICKNESS = 5e-4  # m, of a mesh's surface
@@ -140,7 +148,7 @@ class Mujoco:
     def show(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
         """Do nothing: there is no window. See contacts.Engine."""
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
         """See contacts.Engine. Raises RuntimeError with MuJoCo's warning if it could not compute the step."""
         if self._model is None:
             self._compile()

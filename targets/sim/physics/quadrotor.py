@@ -14,7 +14,7 @@ import numpy as np
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.contacts import Solid
 from targets.sim.physics.rigid import Array, Mask, rotations, total, yaws
-from targets.sim.physics.world import GRAVITY, STEP, Kind, Motion, World
+from targets.sim.physics.world import GRAVITY, STEP, BodyKind, BodyMotion, SimulatedWorld
 
 MASS = 1.4  # kg
 RADIUS, HEIGHT = 0.18, 0.12  # m, of a cylinder with the propellers in it
@@ -58,7 +58,7 @@ _HIGHEST = np.array([math.inf, math.inf, MAX_CLIMB, MAX_YAW_RATE])[:, None]
 _FEET = np.array([0.0, 0.0, HEIGHT / 2])[:, None]
 
 
-class Quadrotors(Kind):
+class Quadrotors(BodyKind):
     """All quadrotors of a world."""
 
     def __init__(self) -> None:
@@ -144,7 +144,7 @@ def _lift(asked: Array) -> Array:
 class SimulatedQuadrotor:
     """One quadrotor of `Quadrotors`. Implements `bodies.Quadrotor`."""
 
-    def __init__(self, world: World, start: Vector, yaw: float) -> None:
+    def __init__(self, world: SimulatedWorld, start: Vector, yaw: float) -> None:
         centre = (start[0], start[1], start[2] + HEIGHT / 2)
         self._all, self.rigid = world.add(Quadrotors, SOLID, centre, yaw)
         self._index = self.rigid.index
@@ -152,7 +152,7 @@ class SimulatedQuadrotor:
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
+    def motion(self) -> BodyMotion:
         """Return the motion of the centre of mass."""
         return self.rigid.motion()
 

@@ -16,11 +16,11 @@ from koordgen.runtime.trace.schema import Wind
 from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.base.scenario import AUTO
+from targets.sim.physics.broad_phase import BROAD_PHASE_PERIOD, BroadPhase
 from targets.sim.physics.contacts import Solid, Touched
 from targets.sim.physics.engines import make
-from targets.sim.physics.near import LOOK_EVERY, Near
+from targets.sim.physics.ray_casting import Bodies, LidarMount, ObstacleMap, cast_rays
 from targets.sim.physics.rigid import Array, Mask, Motions, advance, rotations
-from targets.sim.physics.sight import Bodies, Eye, Scenery, look
 from targets.sim.physics.wind import Air
 
 STEP = 1 / 240  # seconds
@@ -30,7 +30,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class BodyMotion:
     """Motion of one body in the world frame.
 
     Centre of mass (m), orientation (x, y, z, w), velocity (m/s) and spin (rad/s)."""
@@ -47,7 +47,7 @@ class Motion:
         return (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
 
 
-class Kind(ABC):
+class BodyKind(ABC):
     """All bodies with the same dynamics.
 
     A kind overrides `grow` (arrays of its own), `push`, and any method whose default does not fit."""
@@ -57,7 +57,7 @@ class Kind(ABC):
     def __init__(self) -> None:
         self.count = 0
         self.motions = Motions.still(0)
-        self._told: tuple[int, list[BodyState]] = (-1, [])
+        self._cached: tuple[int, list[BodyState]] = (-1, [])
 
     @abstractmethod
     def grow(self) -> None:
@@ -79,45 +79,45 @@ class Kind(ABC):
 
     def states(self, steps: int) -> list[BodyState]:
         """Return the true states after `steps` steps."""
-        if self._told[0] != steps:
+        if self._cached[0] != steps:
             position, velocity, yaw = (array.tolist() for array in self.place())
             places, speeds = zip(*position, strict=True), zip(*velocity, strict=True)
             rates = self.motions.spin[2].tolist()
-            self._told = (steps, list(map(BodyState, places, speeds, yaw, rates)))
-        return self._told[1]
+            self._cached = (steps, list(map(BodyState, places, speeds, yaw, rates)))
+        return self._cached[1]
 
     def forget(self) -> None:
         """Discard the cached states."""
-        self._told = (-1, [])
+        self._cached = (-1, [])
 
 
-Law = TypeVar("Law", bound=Kind)
+Law = TypeVar("Law", bound=BodyKind)
 
 
 class Rigid:
     """One body of the world: `number` among all bodies, `index` within its kind."""
 
-    def __init__(self, world: World, kind: Kind, number: int, index: int) -> None:
+    def __init__(self, world: SimulatedWorld, kind: BodyKind, number: int, index: int) -> None:
         self._world, self._kind = world, kind
         self.number, self.index = number, index
 
     def state(self) -> BodyState:
         return self._kind.states(self._world.steps)[self.index]
 
-    def motion(self) -> Motion:
+    def motion(self) -> BodyMotion:
         now, k = self._kind.motions, self.index
         position, velocity, spin = (tuple(a[:, k].tolist()) for a in (now.position, now.velocity, now.spin))
-        return Motion(position, tuple(now.orientation[:, k].tolist()), velocity, spin)
+        return BodyMotion(position, tuple(now.orientation[:, k].tolist()), velocity, spin)
 
     def throw(self, velocity: Vector, spin: Vector = (0.0, 0.0, 0.0)) -> None:
         """Set the body's velocity (m/s) and spin (rad/s) from outside the simulation."""
         self._kind.motions.velocity[:, self.index] = velocity
         self._kind.motions.spin[:, self.index] = spin
         self._kind.forget()
-        self._world.look_again()
+        self._world.repeat_broad_phase()
 
 
-class World:
+class SimulatedWorld:
     """A floor at z = 0, bodies and obstacles. `steps` counts the simulated steps.
 
     Raises contacts.NoEngine and contacts.NoWindow."""
@@ -128,18 +128,18 @@ class World:
         self.engine = make(engine, STEP, friction, gui)
         self.friction = friction  # factor of the floor's friction; 1 is usual
         self.steps = 0
-        self._near = Near()
-        self._scenery = Scenery()
-        self._kinds: dict[type[Kind], Kind] = {}
+        self._broad_phase = BroadPhase()
+        self._obstacles = ObstacleMap()
+        self._kinds: dict[type[BodyKind], BodyKind] = {}
         self._motions = Motions.still(0)
         self._numbers: list[int] = []  # body numbers, by row in the arrays
         self._solids: list[Solid] = []  # by row, too
         self._reach = np.zeros(0)
         self._taken = np.zeros(0, dtype=bool)
         self._rows: list[int] = []  # rows of bodies under the contact engine's control
-        self._crowded = False  # whether one of those may touch more than the floor
+        self._may_collide = False  # whether one of those may touch more than the floor
         self._touched = Touched()
-        self._next_look = 0
+        self._next_broad_phase = 0
         self._wind, self._seed = wind or Wind(), seed
         self._air = Air(self._wind, seed, 0)
 
@@ -150,17 +150,17 @@ class World:
 
     def obstacle(self, obstacle: Obstacle) -> int:
         """Add an obstacle, which no body moves. Return its number, from 0."""
-        self._near.stand(obstacle)
-        self._scenery.stand(obstacle)
-        self.look_again()
+        self._broad_phase.stand(obstacle)
+        self._obstacles.stand(obstacle)
+        self.repeat_broad_phase()
         return self.engine.obstacle(obstacle)
 
     def move(self, number: int, by: Vector) -> Obstacle:
         """Move an obstacle by a vector (m) at once, without pushing bodies. Return it at its new position."""
-        self._near.move(number, by)
+        self._broad_phase.move(number, by)
         self.engine.move(number, by)
-        self.look_again()
-        return self._scenery.move(number, by)
+        self.repeat_broad_phase()
+        return self._obstacles.move(number, by)
 
     def blow(self, wind: Wind) -> None:
         """Change the wind."""
@@ -195,30 +195,30 @@ class World:
             each.motions = self._motions.part(rows.start, rows.stop)
             each.forget()
         kind.grow()
-        self.look_again()
+        self.repeat_broad_phase()
         return kind, Rigid(self, kind, number, kind.count - 1)
 
-    def _before(self, kind: Kind) -> Iterator[Kind]:
+    def _before(self, kind: BodyKind) -> Iterator[BodyKind]:
         for each in self._kinds.values():
             if each is kind:
                 return
             yield each
 
-    def _parts(self) -> Iterator[tuple[Kind, slice]]:
+    def _parts(self) -> Iterator[tuple[BodyKind, slice]]:
         first = 0
         for kind in self._kinds.values():
             yield kind, slice(first, first + kind.count)
             first += kind.count
 
-    def look_again(self) -> None:
+    def repeat_broad_phase(self) -> None:
         """Repeat the broad phase before the next step."""
-        self._next_look = self.steps
+        self._next_broad_phase = self.steps
         self._rows = np.flatnonzero(self._taken).tolist()
 
     def step(self) -> None:
         """Simulate one step of all bodies."""
-        if self.steps >= self._next_look:
-            self._look()
+        if self.steps >= self._next_broad_phase:
+            self._run_broad_phase()
         air = self._air.step(STEP)
         for kind, rows in self._parts():
             blown = air if air is None or air.shape[1] == 1 else air[:, rows]
@@ -227,24 +227,24 @@ class World:
         self._touched = self._contact() if self._rows else Touched()
         self.steps += 1
 
-    def _look(self) -> None:
+    def _run_broad_phase(self) -> None:
         """Run the broad phase.
 
         Hand over to the contact engine the bodies that may touch something until the next one."""
-        seconds = LOOK_EVERY * STEP
-        floor = self._near.to_floor(self._motions, self._reach, seconds)
+        seconds = BROAD_PHASE_PERIOD * STEP
+        floor = self._broad_phase.to_floor(self._motions, self._reach, seconds)
         for kind, rows in self._parts():
             if kind.rolling:
                 floor[rows] = ~kind.steady()
-        others = self._near.to_others(self._motions, self._reach, seconds)
+        others = self._broad_phase.to_others(self._motions, self._reach, seconds)
         taken = floor | others
         for row in np.flatnonzero(taken & ~self._taken).tolist():
             self.engine.take(self._numbers[row], *self._pose(row))
         for row in np.flatnonzero(self._taken & ~taken).tolist():
             self.engine.release(self._numbers[row])
         self._taken, self._rows = taken, np.flatnonzero(taken).tolist()
-        self._crowded = bool(others.any())
-        self._next_look = self.steps + LOOK_EVERY
+        self._may_collide = bool(others.any())
+        self._next_broad_phase = self.steps + BROAD_PHASE_PERIOD
         if self.engine.shown:
             for row in np.flatnonzero(~taken).tolist():
                 self.engine.show(self._numbers[row], *self._pose(row))
@@ -260,11 +260,11 @@ class World:
         moved = self.engine.step(zip(numbers, velocity, spin, strict=True))
         found = [np.array(values).T for values in zip(*moved, strict=True)]
         now.position[:, rows], now.orientation[:, rows], now.velocity[:, rows], now.spin[:, rows] = found
-        if not self._crowded:
+        if not self._may_collide:
             return Touched()
         touched = self.engine.touched()
         if touched.bodies or touched.obstacles:
-            self._next_look = self.steps + 1  # a body that was hit may be much faster now
+            self._next_broad_phase = self.steps + 1  # a body that was hit may be much faster now
         return touched
 
     def touched(self) -> Touched:
@@ -278,11 +278,11 @@ class World:
             return self.engine.grounded(body.number)
         return any(kind.rolling and rows.start <= row < rows.stop for kind, rows in self._parts())
 
-    def look(self, eyes: Sequence[Eye]) -> list[Array]:
+    def cast_rays(self, eyes: Sequence[LidarMount]) -> list[Array]:
         """Return the ranges of lidars (m) along their rays; inf without a hit."""
         now = self._motions
         bodies = Bodies(now.position, rotations(now.orientation), *self._shapes)
-        return look(eyes, self._scenery, bodies)
+        return cast_rays(eyes, self._obstacles, bodies)
 
     def close(self) -> None:
         """Free the contact engine. Idempotent."""

@@ -15,9 +15,9 @@ from targets.sim.base.ports import NUMBERS
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.realtime.relay import Relay
-from targets.sim.realtime.supervise import Process, overrides
-from targets.sim.run.crew import Step
-from targets.sim.run.stage import Actor, Stage
+from targets.sim.realtime.supervise import AgentProcess, overrides
+from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.scene import Actor, SimulationScene
 
 # Pacing of the world: computes which physics steps are due at a host time, on absolute ticks.
 
@@ -70,11 +70,11 @@ class RealTime:
         self._key = secrets.token_bytes(32)
         with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(self._key)
-        self._agents: list[Process] = []
+        self._agents: list[AgentProcess] = []
         for robot in scenario.robots:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
-            self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
+            self._agents.append(AgentProcess(robot, root / robot.bundle, own, scenario.delta))
         # An external autopilot uses the world's clock. If that stopped, the autopilot would be late for good.
         external = any(robot.external for robot in scenario.robots)
         self._most_behind = math.inf if external else MOST_BEHIND
@@ -84,20 +84,20 @@ class RealTime:
         self._numbers: list[int] = []
 
     @property
-    def agents(self) -> list[Process]:
+    def agents(self) -> list[AgentProcess]:
         return self._agents
 
-    def stage(self) -> Stage:
-        return Stage(self._scenario, self._seed, self._key)
+    def scene(self) -> SimulationScene:
+        return SimulationScene(self._scenario, self._seed, self._key)
 
-    def launch(self, stage: Stage) -> None:
+    def launch(self, scene: SimulationScene) -> None:
         count = len(self._agents)
         taken = self._numbers = [NUMBERS.take() for _ in range(2 * count)]
         ports, controls = taken[:count], taken[count:]
         if self._medium is not None:
             self._relay = Relay(ports, self._seed, self._medium)
         others = self._relay.ports if self._relay else ports
-        for pid, (agent, actor) in enumerate(zip(self._agents, stage.actors, strict=True)):
+        for pid, (agent, actor) in enumerate(zip(self._agents, scene.actors, strict=True)):
             seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # a robot listens on its own port
             laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
             agent.launch(laid_over, *self._simple(agent.robot, actor))
@@ -126,7 +126,7 @@ class RealTime:
     def now(self) -> float:
         return time.monotonic()
 
-    def go_on(self, step: Step) -> None:
+    def go_on(self, step: WorldStep) -> None:
         """Make all steps that are due, then sleep until the next.
 
         A step that is late by more than `MOST_BEHIND` is stamped with the present time less `MOST_BEHIND`, for agents

@@ -18,7 +18,7 @@ import msgspec
 
 from koordgen.runtime.agent.process import main
 from koordgen.runtime.program.property import properties_of
-from targets.sim.base.bodies import Asked, BodyState, Vector
+from targets.sim.base.bodies import BodyCommand, BodyState, Vector
 
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode
 
@@ -60,7 +60,7 @@ class RemoteBody:
     def _ask(self, what: str, *values: float) -> None:
         if self._harness is not None:
             try:
-                self._socket.sendto(_encode(Asked(what, values)), self._harness)
+                self._socket.sendto(_encode(BodyCommand(what, values)), self._harness)
             except OSError:
                 return  # lost like any datagram; the next command follows soon
 

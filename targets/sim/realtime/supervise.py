@@ -17,7 +17,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.scenario import Robot
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.trace.files import Tail
 
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
@@ -27,7 +27,7 @@ GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
 
 
 def overrides(
-    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: Process
+    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: AgentProcess
 ) -> dict[str, Any]:
     """Return the settings that override a robot's settings.json: devices and addresses of this run."""
     peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
@@ -48,7 +48,7 @@ def overrides(
     }
 
 
-class Process(Agent):
+class AgentProcess(AgentHandle):
     """Agent handle of a robot whose bundle runs as a process.
 
     Its persistent state is in `state` in its folder."""
@@ -108,7 +108,7 @@ class Process(Agent):
     def process_id(self) -> int | None:
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
-    def tell_end(self) -> None:
+    def request_end(self) -> None:
         self.told = True
         if self._process and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)

@@ -15,11 +15,11 @@ import msgspec
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import Cause, Moved, TraceRecord
 from targets.sim.base.bodies import BodyState
-from targets.sim.base.medium import medium, parted
+from targets.sim.base.fault_state import NO_POSITIONING_FAULT
+from targets.sim.base.medium import medium, partition
 from targets.sim.base.scenario import BadScenario, Robot
 from targets.sim.base.schedule import CONDITIONS, LONGER, Event, Mistake, Schedule, read, too_late
-from targets.sim.base.upset import WELL
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.sensing.station import fed
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ class Faults:
                     return f"the link between {names} is {'cut already' if is_cut else 'not cut'}"
         return ""
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """Do nothing: agents' records do not change the schedule. See Companion."""
 
     def end(self, at: float) -> None:
@@ -205,15 +205,15 @@ class Faults:
             case "continue":
                 self._agent(event).thaw()
             case "positioning":
-                self._upset(event).positioning = event.positioning
+                self._fault_state(event).positioning = event.positioning
             case "battery":
-                self._upset(event).battery = event.level
+                self._fault_state(event).battery = event.level
             case "lag":
-                self._upset(event).lag = event.lag
+                self._fault_state(event).lag = event.lag
             case "wind":
-                run.stage.world.blow(event.wind)
+                run.scene.world.blow(event.wind)
             case "obstacle":
-                run.mark(Moved(at, event.number, run.stage.world.move(event.number, event.by)))
+                run.mark(Moved(at, event.number, run.scene.world.move(event.number, event.by)))
 
     def _finish(self, event: Event, at: float) -> None:
         run = self._run
@@ -231,11 +231,11 @@ class Faults:
                 self._stamp(at, "restart", event.robots, f"{event.lasts:g} s after its crash")
                 self._restart(event)
             case "positioning":
-                self._upset(event).positioning = WELL
+                self._fault_state(event).positioning = NO_POSITIONING_FAULT
             case "lag":
-                self._upset(event).lag = 0.0
+                self._fault_state(event).lag = 0.0
             case "wind":
-                run.stage.world.blow(run.scenario.world.wind)
+                run.scene.world.blow(run.scenario.world.wind)
             case _:
                 pass  # a freeze ends by itself
 
@@ -243,7 +243,7 @@ class Faults:
         """Apply the present conditions and partitions to the network between the agents."""
         whole = medium(msgspec.structs.replace(self._schedule, network=self._network), self._names)
         whole = msgspec.structs.replace(whole, cuts=tuple(sorted(self._cuts)))
-        self._run.conduct.disturb(parted(whole, self._groups, self._names) if self._groups else whole)
+        self._run.conduct.disturb(partition(whole, self._groups, self._names) if self._groups else whole)
 
     def _link(self, event: Event) -> tuple[int, int]:
         """Return the pids of the two robots of a cut, the lower one first."""
@@ -255,11 +255,11 @@ class Faults:
         if not agent.told:  # an agent told to end must not start again, for it would not be told twice
             agent.restart()
 
-    def _agent(self, event: Event) -> Agent:
+    def _agent(self, event: Event) -> AgentHandle:
         return self._run.conduct.agents[self._names.index(event.robots[0])]
 
-    def _upset(self, event: Event) -> Any:
-        return self._run.stage.actors[self._names.index(event.robots[0])].upset
+    def _fault_state(self, event: Event) -> Any:
+        return self._run.scene.actors[self._names.index(event.robots[0])].fault_state
 
 
 def _conditions(conditions: Conditions) -> str:

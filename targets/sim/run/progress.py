@@ -10,8 +10,8 @@ import time
 from collections.abc import Sequence
 from typing import TextIO
 
-from targets.sim.run.crew import Agent
-from targets.sim.run.stage import Watch
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.scene import SeparationMonitor
 
 EVERY = 0.2  # seconds between two updates
 
@@ -41,7 +41,13 @@ class Progress:
             self._open = False
 
     def show(
-        self, now: float, zero: float | None, duration: float, agents: Sequence[Agent], watch: Watch, factor: float
+        self,
+        now: float,
+        zero: float | None,
+        duration: float,
+        agents: Sequence[AgentHandle],
+        watch: SeparationMonitor,
+        factor: float,
     ) -> None:
         """Show the present state if an update is due."""
         host = time.monotonic()
@@ -70,11 +76,11 @@ class Progress:
             self._quiet = True
 
 
-def _starting(agents: Sequence[Agent]) -> str:
+def _starting(agents: Sequence[AgentHandle]) -> str:
     return " | ".join(f"{agent.robot.name} {agent.waiting_for()}" for agent in agents)
 
 
-def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch) -> str:
+def _running(t: float, duration: float, agents: Sequence[AgentHandle], watch: SeparationMonitor) -> str:
     parts = [
         f"{min(t, duration):5.1f} of {duration:g} s",
         f"round {max(agent.round for agent in agents)}",

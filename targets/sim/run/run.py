@@ -16,9 +16,9 @@ from koordgen.runtime.trace.schema import End, Mark, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Scenario
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Agent, Conduct
 from targets.sim.run.progress import Progress
-from targets.sim.run.stage import Closest
+from targets.sim.run.run_interface import AgentHandle, AgentsAndClock
+from targets.sim.run.scene import Closest
 from targets.sim.trace.files import Poses
 
 
@@ -28,7 +28,7 @@ class Companion(Protocol):
     def launched(self, run: Run) -> None:
         """Called before the agents start.
 
-        `run.stage` has the bodies and devices, `run.conduct.agents` the agent handles, `run.mark` adds records to the
+        `run.scene` has the bodies and devices, `run.conduct.agents` the agent handles, `run.mark` adds records to the
         trace."""
         ...
 
@@ -38,7 +38,7 @@ class Companion(Protocol):
         t is `run.t(at)`, None before round 1. Changes take effect at the next step."""
         ...
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """Called every 0.05 s for each agent that has traced something, with its records in order."""
         ...
 
@@ -49,7 +49,7 @@ class Companion(Protocol):
 
 POSE_RATE = 20.0  # poses a second, unless the setting `pose_rate` says otherwise
 LOOK_EVERY = 0.05  # seconds between two checks of the agents
-REST_WITHIN = 20.0  # seconds from the end of the mission within which every agent must end
+STOP_WITHIN = 20.0  # seconds from the end of the mission within which every agent must end
 SETTLE = 0.5  # seconds for which the world continues after the last agent
 START_TIMEOUT = 90.0
 
@@ -84,12 +84,14 @@ class Outcome:
 
 
 class Run:
-    """A run. Owns `conduct` and `stage`.
+    """A run. Owns `conduct` and `scene`.
 
     `folder` receives poses, and a folder for each robot under `robots/`. All times are those of the run's clock,
     `conduct.now`. `zero` is the start of round 1, None before."""
 
-    def __init__(self, scenario: Scenario, conduct: Conduct, folder: Path, duration: float, progress: Progress) -> None:
+    def __init__(
+        self, scenario: Scenario, conduct: AgentsAndClock, folder: Path, duration: float, progress: Progress
+    ) -> None:
         self.scenario = scenario
         self.conduct = conduct
         self.companions: list[Companion] = []
@@ -108,7 +110,7 @@ class Run:
         self._noted: set[tuple[int, str]] = set()  # contacts written to logs: pid, and the object touched
         self._failed: dict[str, tuple[float, str]] = {}  # robot -> time and text of its agent's failure
         try:
-            self.stage = conduct.stage()
+            self.scene = conduct.scene()
             self._poses = Poses(self.poses_file)
         except BaseException:
             conduct.close()
@@ -143,7 +145,7 @@ class Run:
                 return self._execute()
         finally:
             self.conduct.close()
-            self.stage.close()
+            self.scene.close()
             self._poses.close()
 
     def _execute(self) -> Outcome:
@@ -151,7 +153,7 @@ class Run:
         for companion in self.companions:
             companion.launched(self)
         launched = self.conduct.now()
-        self.conduct.launch(self.stage)
+        self.conduct.launch(self.scene)
         timeout = launched + self.scenario.number("start_timeout", START_TIMEOUT)
         self._progress.step("1 robot is starting" if count == 1 else f"{count} robots are starting")
         ended = self._until(lambda now: self._before_start(now, timeout))
@@ -163,7 +165,7 @@ class Run:
             ended = self._until(lambda now: self._during_mission(now, zero))
             self._late = self.conduct.late - before
         end = self.conduct.now()
-        self._rest(ended)
+        self._stop_safely(ended)
         now = self.conduct.now()
         for companion in self.companions:
             companion.end(now)
@@ -203,7 +205,7 @@ class Run:
 
     def _step(self, at: float) -> None:
         """Simulate one step of the world."""
-        states = self.stage.step(at)
+        states = self.scene.step(at)
         if self._steps % self._pose_every == 0:
             self._poses.write(at, states)
         self._steps += 1
@@ -212,7 +214,7 @@ class Run:
 
     def _note_contacts(self) -> None:
         """Write each first contact into the logs of the robots concerned: a real robot would not notice it."""
-        agents, watch = self.conduct.agents, self.stage.watch
+        agents, watch = self.conduct.agents, self.scene.watch
         found = [(pid, f"obstacle {number}", at) for (pid, number), at in watch.bumps.items()]
         for (i, j), at in watch.collisions.items():
             found += [(i, agents[j].robot.name, at), (j, agents[i].robot.name, at)]
@@ -235,9 +237,9 @@ class Run:
                 since = agent.resting.time if agent.resting and not agent.killed else now
                 self._failed[name] = (since, failure)
                 self._progress.say(f"{name} {failure}")
-        self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.stage.watch, self.conduct.factor)
+        self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.scene.watch, self.conduct.factor)
 
-    def _hear(self, agent: Agent) -> bool:
+    def _hear(self, agent: AgentHandle) -> bool:
         """Pass an agent's new records to the companions. Return whether there were any."""
         records = agent.look()
         if records:
@@ -245,7 +247,7 @@ class Run:
                 companion.heard(agent, records)
         return bool(records)
 
-    def _rest(self, ended: str) -> None:
+    def _stop_safely(self, ended: str) -> None:
         """Tell the agents to stop safely, and advance the world until they have."""
         if ended == "completed":
             self._progress.step("the mission is over, robots stop safely")
@@ -253,8 +255,8 @@ class Run:
             self._progress.say(f"{ended}: ending")
         for agent in self.conduct.agents:
             self._hear(agent)
-            agent.tell_end()
-        deadline = self.conduct.now() + REST_WITHIN
+            agent.request_end()
+        deadline = self.conduct.now() + STOP_WITHIN
         hurry = self._interrupts + 1
 
         def rested(now: float) -> str:
@@ -271,7 +273,7 @@ class Run:
 
     def _outcome(self, ended: str, zero: float, end: float, waiting: dict[str, str]) -> Outcome:
         now = self.conduct.now()
-        watch = self.stage.watch
+        watch = self.scene.watch
         names = [robot.name for robot in self.scenario.robots]
 
         def t(time: float) -> float:
@@ -293,7 +295,7 @@ class Run:
             if fault is not None:
                 marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
-            if ended_itself and not self.stage.standing(pid):
+            if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
                 marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
         found = watch.closest

@@ -12,13 +12,13 @@ from koordgen.runtime.vehicle.scans import MOST_RAYS, Sweep, encode, packed
 from targets.sim.base.bodies import BodyState, DeviceContext, Vector
 from targets.sim.base.ports import Port
 from targets.sim.base.scenario import BadScenario, Lidar
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import Rigid, World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import Rigid, SimulatedWorld
 
 SETTING = "scans"  # setting of a robot that holds the lidar's address
 
 
-class Carrier(Protocol):
+class LidarCarrier(Protocol):
     """Body on which a lidar is mounted."""
 
     rigid: Rigid
@@ -34,7 +34,12 @@ class SimulatedLidar:
     same step. Raises BadScenario."""
 
     def __init__(
-        self, world: World, body: Carrier, context: DeviceContext, lidar: Lidar | None = None, port: Port | None = None
+        self,
+        world: SimulatedWorld,
+        body: LidarCarrier,
+        context: DeviceContext,
+        lidar: Lidar | None = None,
+        port: Port | None = None,
     ) -> None:
         lidar = lidar or Lidar()
         if lidar.rays > MOST_RAYS:
@@ -58,14 +63,14 @@ class SimulatedLidar:
             self.overrides = {SETTING: f"udp:127.0.0.1:{port.number}"}
         self._port = port
 
-    def look(self) -> tuple[Vector, list[float | None]]:
+    def cast_rays(self) -> tuple[Vector, list[float | None]]:
         """Return the robot's true position and the range (m) of each ray, None without a hit.
 
         Rays start there, at the height of the middle of the body, and end at another robot or an obstacle, not at the
         floor or the robot itself."""
         position, height = self._body.state().position, self._body.rigid.motion().position[2]
         place = (position[0], position[1], height)
-        (found,) = self._world.look([Eye(place, self._rays, self._range, self._body.rigid.number)])
+        (found,) = self._world.cast_rays([LidarMount(place, self._rays, self._range, self._body.rigid.number)])
         return position, [None if r == math.inf else r for r in found.tolist()]
 
     def step(self, now: float) -> None:
@@ -76,7 +81,7 @@ class SimulatedLidar:
         self._port.send(self._turn())
 
     def _turn(self) -> bytes:
-        position, found = self.look()
+        position, found = self.cast_rays()
         gauss, noise, farthest = self._random.gauss, self._range_noise, self._farthest
         ranges = [self._range if r is None else min(farthest, r + gauss(0.0, noise)) for r in found]
         place = Point(*(v + gauss(0.0, self._noise) for v in position))

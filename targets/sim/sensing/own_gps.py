@@ -7,7 +7,7 @@ import random
 from collections import deque
 
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.base.upset import WELL, Upset
+from targets.sim.base.fault_state import NO_POSITIONING_FAULT, FaultState
 
 WANDER = 2.0  # seconds, correlation time of the wandering error
 PERIOD = 0.2  # seconds between two fixes
@@ -20,9 +20,9 @@ NEAR = 1e-4  # metres: a smaller remaining error counts as none
 class OwnGps:
     """Error model. `noise` (m): standard deviation of the usual error. `fixed`: time of the last fix."""
 
-    def __init__(self, noise: float, upset: Upset, dice: random.Random) -> None:
+    def __init__(self, noise: float, fault_state: FaultState, dice: random.Random) -> None:
         self._noise, self._random = noise, dice
-        self.upset = upset
+        self.fault_state = fault_state
         self.fixed = math.inf  # no fix was lost so far
         self._next = -math.inf
         self._usual: Vector = (0.0, 0.0, 0.0)
@@ -34,8 +34,8 @@ class OwnGps:
         """Return the error in metres, `dt` seconds after the last call.
 
         `bias` (m/s^2) of the accelerometers makes the error grow while no fix arrives."""
-        wrong = self.upset.positioning
-        if wrong is WELL and self._pulled == HERE:
+        wrong = self.fault_state.positioning
+        if wrong is NO_POSITIONING_FAULT and self._pulled == HERE:
             self.fixed = now
             if self._noise:
                 self._wander(dt, self._noise)
@@ -56,10 +56,12 @@ class OwnGps:
             self._drift = _plus(self._drift, bias, dt)
             self._pulled = _plus(self._pulled, self._drift, dt)
         else:
-            told = _plus(wrong.bias, _plus(self._then(now - wrong.delay, truth.position), truth.position, -1.0), 1.0)
+            told = _plus(
+                wrong.bias, _plus(self._position_at(now - wrong.delay, truth.position), truth.position, -1.0), 1.0
+            )
             rest = _plus(told, self._pulled, -1.0)
             self._pulled = _plus(self._pulled, rest, 1.0 - math.exp(-dt / CORRECTED))
-            if wrong is WELL and math.hypot(*rest) < NEAR:
+            if wrong is NO_POSITIONING_FAULT and math.hypot(*rest) < NEAR:
                 self._pulled = HERE
         return _plus(self._usual, self._pulled, 1.0)
 
@@ -70,7 +72,7 @@ class OwnGps:
         (x, y, z), gauss = self._usual, self._random.gauss
         self._usual = (keep * x + gauss(0, fresh), keep * y + gauss(0, fresh), keep * z + gauss(0, fresh))
 
-    def _then(self, time: float, present: Vector) -> Vector:
+    def _position_at(self, time: float, present: Vector) -> Vector:
         """Return the position at `time`, as far back as it is known."""
         while len(self._past) > 1 and self._past[1][0] <= time:
             self._past.popleft()

@@ -19,7 +19,7 @@ FEED_PERIOD = 0.02  # seconds
 BASELINE = 0.33  # metres between the two markers from which the yaw is measured
 
 
-class Carrier(Protocol):
+class MarkerCarrier(Protocol):
     """Body that carries the markers."""
 
     def state(self) -> BodyState: ...
@@ -32,13 +32,13 @@ class BaseStation:
     measurement is sent `position_delay` seconds later, without that delay in its time stamp: real systems do not report
     the latency from camera to network either. Injected faults of the robot add to all errors."""
 
-    def __init__(self, body: Carrier, context: DeviceContext) -> None:
+    def __init__(self, body: MarkerCarrier, context: DeviceContext) -> None:
         self._body = body
         self._robot = context.robot
         self._key, self._application = context.key, context.application
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._delay = float(context.harness.get("position_delay", 0.0))
-        self._upset = context.upset
+        self._fault_state = context.fault_state
         self._random = random.Random(f"{context.seed} {context.robot} position")
         self._sequence = 0
         self._next = -math.inf
@@ -50,7 +50,7 @@ class BaseStation:
             self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
             pose = self._measure()
             if pose is not None:
-                self._measured.append((now + self._delay + self._upset.positioning.delay, pose))
+                self._measured.append((now + self._delay + self._fault_state.positioning.delay, pose))
         if not self._measured or now < self._measured[0][0]:
             return None
         self._sequence += 1
@@ -60,7 +60,7 @@ class BaseStation:
 
     def _measure(self) -> Pose | None:
         state = self._body.state()
-        place = self._upset.measured(state.position, self._noise, self._random)
+        place = self._fault_state.measured(state.position, self._noise, self._random)
         if place is None:
             return None
         return Pose(Point(*place), state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / BASELINE))
@@ -73,7 +73,7 @@ class SimulatedFeed:
     a slow world, agents would reject them as old."""
 
     def __init__(
-        self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
+        self, body: MarkerCarrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
     ) -> None:
         self._station = BaseStation(body, context)
         self._clock = clock

@@ -84,7 +84,7 @@ def _records(files: Sequence[Path], pid: int, delta: float, application: str) ->
     """Yield one robot's records by fleet time, in the robot's order for equal times.
 
     Before each round comes the pose that the robot measured at its start."""
-    places, clocks = _looked_through(files, delta)
+    places, clocks = _index_records(files, delta)
     ordered = sorted((clocks[place.file].t(place.time), place) for place in places if clocks[place.file])
     opened = [path.open("rb") for path in files]
     try:
@@ -100,7 +100,7 @@ def _records(files: Sequence[Path], pid: int, delta: float, application: str) ->
             file.close()
 
 
-def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], list[_Clock]]:
+def _index_records(files: Sequence[Path], delta: float) -> tuple[list[_Place], list[_Clock]]:
     """Return the place of each record and each file's clock.
 
     A part without rounds uses the clock of the part before."""

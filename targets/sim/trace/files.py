@@ -39,13 +39,13 @@ LATE = 0.5  # share of delta: a round decided later than this is late
 MOST_AT_ONCE = 1 << 20  # bytes of one file per call
 
 
-class _Timed(msgspec.Struct):
+class _TimeField(msgspec.Struct):
     """Time field of a record of any kind in a robot's own trace."""
 
     time: float | None = None
 
 
-_time = msgspec.json.Decoder(_Timed)
+_time = msgspec.json.Decoder(_TimeField)
 _raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
@@ -108,9 +108,9 @@ def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Pat
 
     `zero` is the time of t = 0. `agents` are the agents' files in the order of pids. Raises OSError."""
     streams = [
-        _marked(marks, header.app),
-        _posed(poses, zero),
-        *(_told(file, zero, pid) for pid, file in enumerate(agents)),
+        _mark_records(marks, header.app),
+        _pose_records(poses, zero),
+        *(_agent_records(file, zero, pid) for pid, file in enumerate(agents)),
     ]
     with path.open("wb") as out:
         out.write(encoded(header) + b"\n")
@@ -139,7 +139,7 @@ def time_of(line: bytes) -> float | None:
     return None
 
 
-def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
+def _mark_records(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         if isinstance(mark, Verdict) or (isinstance(mark, Violation) and mark.what in OF_EVENTS):
             yield mark.t, encoded(msgspec.structs.replace(mark, application=application))
@@ -147,7 +147,7 @@ def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]
             yield mark.t, encoded(mark)
 
 
-def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
+def _pose_records(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
     """Yield the run's own poses, which are in order. An invalid line raises."""
     if path.exists():
         with path.open("rb") as file:
@@ -157,7 +157,7 @@ def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
                     yield t, at(line, t, -1)
 
 
-def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
+def _agent_records(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
     """Yield an agent's records by time, in its order for equal times.
 
     The agent writes a round when it is committed, after later records of other kinds; how much later depends on its

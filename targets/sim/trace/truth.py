@@ -19,7 +19,7 @@ from koordgen.runtime.trace.schema import Init, Round, Values
 from koordgen.runtime.values.points import Grid, Point
 
 # Arguments of a planner call: a goal, and obstacles as cells.
-_ASKED: tuple[Any, ...] = (msgspec.json.Decoder(Point), msgspec.json.Decoder(tuple[Grid, ...]))
+_CALL_ARGUMENTS: tuple[Any, ...] = (msgspec.json.Decoder(Point), msgspec.json.Decoder(tuple[Grid, ...]))
 _by_pid = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
@@ -168,4 +168,4 @@ class Truth:
 
 
 def _arguments(args: tuple[msgspec.Raw, ...]) -> tuple[Any, ...]:
-    return tuple(decoder.decode(raw) for decoder, raw in zip(_ASKED, args, strict=False))
+    return tuple(decoder.decode(raw) for decoder, raw in zip(_CALL_ARGUMENTS, args, strict=False))

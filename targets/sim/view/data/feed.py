@@ -1,6 +1,6 @@
 """Base of the live views: a companion that passes on records during a run, with times since round 1.
 
-Before round 1 times count from the launch. When round 1 has begun, `_anew` is called, and all records passed on before
+Before round 1 times count from the launch. When round 1 has begun, `_reset` is called, and all records passed on before
 are void."""
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -27,18 +27,18 @@ class Feed(ABC):
         self._header = header
         self._names = [robot.name for robot in header.robots]
         self._steps = 0
-        self._told = 0  # number of the run's marks passed on
+        self._marks_sent = 0  # number of the run's marks passed on
         self._seen: set[tuple[str, tuple[int, int]]] = set()  # findings of the separation monitor passed on
         self._begun = False
         # records received before the start of round 1 was known
-        self._early: list[tuple[Agent, list[TraceRecord]]] = []
+        self._early: list[tuple[AgentHandle, list[TraceRecord]]] = []
 
     @abstractmethod
     def _take(self, record: TraceRecord, t: float) -> None:
         """Pass on one record. `t` overrides the record's own time."""
 
     @abstractmethod
-    def _anew(self) -> None:
+    def _reset(self) -> None:
         """Discard what was passed on: round 1 has begun."""
 
     @abstractmethod
@@ -74,7 +74,7 @@ class Feed(ABC):
     def flush(self) -> None:
         """Send the collected records, as far as possible without waiting."""
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
         if not self._begun:
             self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
@@ -96,7 +96,7 @@ class Feed(ABC):
     def _begin(self) -> None:
         """Switch to times since round 1, and pass on the early records again."""
         self._begun = True
-        self._anew()
+        self._reset()
         for agent in self._run.conduct.agents:
             self._take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
         for agent, records in self._early:
@@ -105,7 +105,7 @@ class Feed(ABC):
 
     def _marks(self) -> None:
         """Pass on new violations of the separation monitor and new marks of companions."""
-        watch = self._run.stage.watch
+        watch = self._run.scene.watch
         for (i, j), close in watch.too_close.items():
             if self._new("separation", (i, j)):
                 detail = f"{close.distance:.3f} m apart, less than {watch.min_separation:g} m"
@@ -117,9 +117,9 @@ class Feed(ABC):
             if self._new("bump", (i, number)):
                 self._violation(at, "collision", (i,), f"touched obstacle {number}")
         marks = self._run.marks
-        for mark in marks[self._told :]:
+        for mark in marks[self._marks_sent :]:
             self._take(mark, self._t(mark.t))
-        self._told = len(marks)
+        self._marks_sent = len(marks)
 
     def _new(self, what: str, who: tuple[int, int]) -> bool:
         known = (what, who) in self._seen

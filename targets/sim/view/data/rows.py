@@ -50,7 +50,7 @@ from koordgen.runtime.trace.schema import (
 from koordgen.runtime.values.points import Point, Scan
 from targets.sim.base.bodies import Vector
 from targets.sim.trace.files import was_late
-from targets.sim.trace.noticed import Notable, said
+from targets.sim.trace.monitor_reports import DisplayFilter, said
 from targets.sim.view.data.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
@@ -66,7 +66,7 @@ class Rows:
     def __init__(self, header: Header) -> None:
         self._count = len(header.robots)
         self._names = [robot.name for robot in sorted(header.robots, key=lambda robot: robot.pid)]
-        self._notable = Notable()
+        self._notable = DisplayFilter()
         self._delta = header.delta
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}

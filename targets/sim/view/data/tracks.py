@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Marked:
+class MarkerHistory:
     """A marker with its states and the times when they began."""
 
     position: Vector
@@ -43,7 +43,7 @@ class Tracks:
     near: Array
     end: float | None
     violations: list[tuple[float, str, list[str]]]
-    markers: list[Marked]
+    markers: list[MarkerHistory]
     maps: dict[tuple[str, int], list[tuple[float, Any]]]
     paths: list[list[tuple[float, Array]]]
 
@@ -66,10 +66,10 @@ def tracks(header: Header, rows: Chunk) -> Tracks:
     paths: list[list[tuple[float, Array]]] = [[] for _ in header.robots]
     for pid, t, points in rows["paths"]:
         paths[pid].append((t, np.array(points, dtype=np.float64).reshape(-1, 3)))
-    markers = [Marked(m.position, m.radius, []) for m in header.world.markers]
+    markers = [MarkerHistory(m.position, m.radius, []) for m in header.world.markers]
     for t, number, state, *more in rows["markers"]:
         if more and number == len(markers):
-            markers.append(Marked(more[0]["position"], more[0]["radius"], []))
+            markers.append(MarkerHistory(more[0]["position"], more[0]["radius"], []))
         markers[number].states.append((t, state))
     kinds = {v.name: v.kind for v in header.shared if v.type == "GridMap"}
     maps: dict[tuple[str, int], list[tuple[float, Any]]] = {}

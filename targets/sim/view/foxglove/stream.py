@@ -131,7 +131,7 @@ class Streamed(Feed):
         at = max(0, round((t + self._shift) * 1e9))
         self._server.put(at, self._messages.of(msgspec.structs.replace(record, t=round(t, 6)), at))
 
-    def _anew(self) -> None:
+    def _reset(self) -> None:
         zero = self._run.zero
         self._shift = 0.0 if zero is None else zero - self._launched
 

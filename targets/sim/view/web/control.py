@@ -20,9 +20,9 @@ from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import GIVEN
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Event, Schedule, read
-from targets.sim.run.crew import Agent
 from targets.sim.run.faults import Faults, check_obstacles, check_robots, told
-from targets.sim.view.web.live import Live, Paced
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.view.web.live import Live, PaceLimit
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -33,11 +33,11 @@ LEAST_FACTOR, MOST_FACTOR = 0.001, 1000.0
 PATIENCE = 0.1  # seconds of the host between two checks during a pause for other reasons to end it
 
 
-class Impossible(Exception):
+class ImpossibleCommand(Exception):
     """A command that cannot be executed; the message says why."""
 
 
-class Given:
+class ManualFaults:
     """Faults injected by hand.
 
     `scenario`: plain values of the run's own scenario file, which these faults continue. `folder`: the run's."""
@@ -55,11 +55,11 @@ class Given:
         Raises Impossible, and OSError if the file cannot be written."""
         t = run.t(at)
         if t is None or t < 0:
-            raise Impossible("faults can be injected only after round 1 has begun")
+            raise ImpossibleCommand("faults can be injected only after round 1 has begun")
         if any(agent.told for agent in run.conduct.agents):
-            raise Impossible("the mission is over")
+            raise ImpossibleCommand("the mission is over")
         if not isinstance(event, dict) or "at" in event:
-            raise Impossible("a fault is an event of a scenario file without `at`, because it begins now")
+            raise ImpossibleCommand("a fault is an event of a scenario file without `at`, because it begins now")
         data = {"at": t, **event}
         found = self._checked(run, data)
         self._events.append(data)
@@ -67,7 +67,7 @@ class Given:
         self.count += 1
         self.faults.give(found.events[0], at)
         (brought,) = found.events
-        return _said(brought, t)
+        return _described(brought, t)
 
     def _checked(self, run: Run, data: Any) -> Schedule:
         """Return a schedule with the event alone. Raises Impossible."""
@@ -76,16 +76,16 @@ class Given:
         _, mistakes = read({**self._scenario, "events": [*self._events, data]}, names)
         if mistakes:
             texts = (f"{m.message} ({m.hint})" if m.hint else m.message for m in mistakes)
-            raise Impossible("; ".join(texts).replace(f"event {len(self._events)}", "this fault"))
+            raise ImpossibleCommand("; ".join(texts).replace(f"event {len(self._events)}", "this fault"))
         found, _ = read({"events": [data]}, names)
         try:
             check_robots(found, robots)
             check_obstacles(found, len(run.scenario.obstacles))
         except BadScenario as error:
-            raise Impossible(f"{error} ({error.hint})") from None
+            raise ImpossibleCommand(f"{error} ({error.hint})") from None
         why = self.faults.impossible(found.events[0])
         if why:
-            raise Impossible(why)
+            raise ImpossibleCommand(why)
         return found
 
     def _write(self) -> None:
@@ -95,7 +95,7 @@ class Given:
         self._file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _said(event: Event, t: float) -> str:
+def _described(event: Event, t: float) -> str:
     """Return an injected fault as text."""
     who = event.robots[0] if len(event.robots) == 1 else ""  # the detail names several robots
     lasts = "" if event.lasts is None else f" for {event.lasts:g} s"
@@ -107,7 +107,7 @@ class Control:
 
     `given` is None for a run without faults, `paced` for one in real time."""
 
-    def __init__(self, view: Live, given: Given | None, paced: Paced | None) -> None:
+    def __init__(self, view: Live, given: ManualFaults | None, paced: PaceLimit | None) -> None:
         self._view, self._given, self._paced = view, given, paced
         self._paused = False
         self._stop_at = math.inf  # time of the run's clock at which to pause
@@ -134,13 +134,13 @@ class Control:
             self._hold(self._paced, at, states)
         self._paced.step(at, states)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
 
     def end(self, at: float) -> None:
         """See Companion."""
 
-    def _hold(self, paced: Paced, at: float, states: list[BodyState]) -> None:
+    def _hold(self, paced: PaceLimit, at: float, states: list[BodyState]) -> None:
         """Wait until the pause is over, or until the page's server or the run ends."""
         self._stop_at, paced.waited = math.inf, True
         self._view.show(at, states)
@@ -156,7 +156,7 @@ class Control:
         for command in commands:
             try:
                 message, bad = self._command(command, at), False
-            except Impossible as error:
+            except ImpossibleCommand as error:
                 message, bad = str(error), True
             self._report(message, bad)
 
@@ -165,15 +165,15 @@ class Control:
         match command:
             case {"do": "fault", "event": event}:
                 if self._given is None:
-                    raise Impossible(FOLLOWING)
+                    raise ImpossibleCommand(FOLLOWING)
                 return self._given.give(self._run, event, at)
             case {"do": "pause" | "go" | "step" | "speed" as what}:
                 if self._paced is None:
-                    raise Impossible(f"{what}: {REAL_TIME}")
+                    raise ImpossibleCommand(f"{what}: {REAL_TIME}")
                 return self._pace(self._paced, what, command.get("factor"), at)
-        raise Impossible(f"unknown command {json.dumps(command):.60}; there are: pause, go, step, speed, fault")
+        raise ImpossibleCommand(f"unknown command {json.dumps(command):.60}; there are: pause, go, step, speed, fault")
 
-    def _pace(self, paced: Paced, what: str, factor: Any, at: float) -> str:
+    def _pace(self, paced: PaceLimit, what: str, factor: Any, at: float) -> str:
         match what:
             case "pause":
                 self._paused = True
@@ -184,7 +184,7 @@ class Control:
             case "speed":
                 sound = type(factor) in (int, float) and LEAST_FACTOR <= factor <= MOST_FACTOR
                 if factor is not None and not sound:
-                    raise Impossible(f"speed: factor must be {LEAST_FACTOR:g} to {MOST_FACTOR:g}, or null")
+                    raise ImpossibleCommand(f"speed: factor must be {LEAST_FACTOR:g} to {MOST_FACTOR:g}, or null")
                 paced.go(factor, at)
         return ""
 

@@ -25,10 +25,10 @@ import msgspec
 
 from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 from targets.sim.view.foxglove.stream import FoxgloveServer
-from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
-from targets.sim.view.web.guard import Guard
+from targets.sim.view.web.fleet_rows import FRESH, FleetRows, LatestRows, Report, completed, read_report
+from targets.sim.view.web.guard import ControlGuard
 from targets.sim.view.web.page import page
-from targets.sim.view.web.serve import Handler, Hub, Server
+from targets.sim.view.web.serve import EventHub, Handler, Server
 
 TICK = 0.2  # seconds between two events for the pages
 MOST_BROWSERS = 64  # browsers that hold a cookie
@@ -80,7 +80,7 @@ class Dashboard:
     def __init__(
         self, header: Header, odd: Callable[[], Collection[str]], stream: FoxgloveServer | None = None
     ) -> None:
-        self.hub = Hub(header, Latest)
+        self.hub = EventHub(header, LatestRows)
         self._stream = stream
         self._rows = FleetRows(header)
         self._odd = odd
@@ -167,7 +167,7 @@ class FleetServer(Server):
         self.names |= {f"{name}:{self.server_address[1]}"}
         scheme = "https" if tls else "http"
         self.url = f"{scheme}://{name}:{self.server_address[1]}/"
-        self.guard = None if stop is None else Guard(None if token else self.names, scheme)
+        self.guard = None if stop is None else ControlGuard(None if token else self.names, scheme)
 
     def server_bind(self) -> None:
         """Bind without a name lookup of the host, which may take seconds."""

@@ -26,7 +26,7 @@ Lines = tuple[tuple[Count, float, Count, str, str], ...]
 Outcomes = tuple[tuple[Count, Count, Literal["event", "skipped", "fault"], str, tuple[float, ...]], ...]
 
 
-class Place(msgspec.Struct, frozen=True):
+class ReportedPose(msgspec.Struct, frozen=True):
     """Pose of a robot: metres, local ENU; yaw in radians; the age of both in seconds."""
 
     position: Vector
@@ -34,7 +34,7 @@ class Place(msgspec.Struct, frozen=True):
     age: float = 0.0
 
 
-class Violated(msgspec.Struct, frozen=True):
+class ReportedViolation(msgspec.Struct, frozen=True):
     """A property that the robot's monitor reports as violated."""
 
     of: str = ""
@@ -47,9 +47,9 @@ class Violated(msgspec.Struct, frozen=True):
         return f"{self.of} {self.name}".strip()
 
 
-class Monitored(msgspec.Struct, frozen=True):
+class MonitorReport(msgspec.Struct, frozen=True):
     counts: dict[str, int] = {}
-    violated: tuple[Violated, ...] = ()
+    violated: tuple[ReportedViolation, ...] = ()
 
 
 class Computer(msgspec.Struct, frozen=True):
@@ -72,14 +72,14 @@ class Report(msgspec.Struct, frozen=True):
     boot: str = ""
     delta: float = 0.0
     geofence: tuple[Vector, Vector] | None = None
-    pose: Place | None = None
+    pose: ReportedPose | None = None
     battery: float | None = None
     goal: tuple[Vector, ...] = ()
     lines: Lines = ()
     outcomes: Outcomes = ()
     decided: float = 0.0
     shared: tuple[tuple[str, Literal["allread", "allwrite"], Count, Any], ...] = ()
-    monitors: Monitored = Monitored()
+    monitors: MonitorReport = MonitorReport()
     host: Computer = Computer()
     rounds: Count = 0
     current: Count = 0
@@ -117,7 +117,7 @@ def completed(header: Header, report: Report) -> Header:
 
 
 @dataclass
-class _Known:
+class _RobotData:
     """State of a robot, from its reports so far."""
 
     report: Report | None = None
@@ -148,7 +148,7 @@ class FleetRows:
         self.header = header
         self._rows = Rows(header)
         self._more: Chunk = {}
-        self._robots = [_Known() for _ in header.robots]
+        self._robots = [_RobotData() for _ in header.robots]
 
     def renew(self, header: Header) -> None:
         """Continue with a more complete header; each robot's last report is converted again."""
@@ -208,7 +208,7 @@ class FleetRows:
         """Return the latest data of each robot, by pid. `at`: arrival of its report; None: it never answered."""
         return [self._entry(known) for known in self._robots]
 
-    def _entry(self, known: _Known) -> dict[str, Any]:
+    def _entry(self, known: _RobotData) -> dict[str, Any]:
         entry: dict[str, Any] = {
             "at": known.at, "silent": known.silent, "note": known.note, "questions": known.questions,
             "answers": known.answers,
@@ -223,7 +223,7 @@ class FleetRows:
             "violated": [each.words for each in report.monitors.violated], "properties": report.monitors.counts,
         }  # fmt: skip
 
-    def _motion(self, pid: int, known: _Known, report: Report, t: float) -> None:
+    def _motion(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         if report.phase != known.phase:
             known.phase = report.phase
             self._rows.take(Phase(report.phase, pid=pid), t)
@@ -235,7 +235,7 @@ class FleetRows:
             known.goal = report.goal
             self._add("paths", [pid, round(t, 3), report.goal])
 
-    def _said(self, pid: int, known: _Known, report: Report, t: float) -> None:
+    def _said(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         for number, age, _, level, text in report.lines:
             if number <= known.line:
                 continue
@@ -245,7 +245,7 @@ class FleetRows:
             known.line = number
             self._rows.take(Log(level, text, pid=pid), t - age)
 
-    def _decided(self, pid: int, known: _Known, report: Report, t: float) -> None:
+    def _decided(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         """Add rows of decided rounds and of the shared variables that they wrote."""
         runs = [(first, outcome, detail, late) for first, _, outcome, detail, late in report.outcomes]
         last = max((first + len(late) - 1 for first, _, _, late in runs), default=0)
@@ -292,7 +292,7 @@ MOST_OF_ALL = {"marks": 300, "near": 1500, "markers": 300}
 ALL_POSES, ALL_ROUNDS = 40_000, 40_000
 
 
-class Latest:
+class LatestRows:
     """The latest rows of each series: a dashboard may be open for days."""
 
     def __init__(self, header: Header) -> None:

@@ -20,7 +20,7 @@ MOST_BYTES = 2048  # of a command
 Refusal = tuple[int, str]  # HTTP status and reason
 
 
-class Guard:
+class ControlGuard:
     """Check of requests to PATH.
 
     `names`: hosts with port by which this server may be called; None: any, because a cookie of this server has already

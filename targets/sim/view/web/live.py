@@ -21,7 +21,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.view.data.feed import Feed
 from targets.sim.view.data.rows import Rows
 
@@ -97,7 +97,7 @@ class Live(Feed):
     def _take(self, record: TraceRecord, t: float) -> None:
         self._rows.take(record, t)
 
-    def _anew(self) -> None:
+    def _reset(self) -> None:
         self._rows = Rows(self._header)
         self._put({"begin": True})
 
@@ -165,7 +165,7 @@ class Live(Feed):
             process.wait()
 
 
-class Paced:
+class PaceLimit:
     """Companion that limits a lockstep run to `factor` times real time; None for no limit.
 
     `waited` is true if it has ever delayed the run."""
@@ -193,7 +193,7 @@ class Paced:
     def _restart(self, at: float) -> None:
         self._host, self._clock = time.monotonic(), at
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         pass
 
     def end(self, at: float) -> None:

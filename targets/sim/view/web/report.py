@@ -25,9 +25,9 @@ from targets.sim.judging.summary import (
     warned,
 )
 from targets.sim.run.run import Outcome
-from targets.sim.run.stage import Closest
+from targets.sim.run.scene import Closest
 from targets.sim.trace.files import read
-from targets.sim.trace.noticed import Notable, said
+from targets.sim.trace.monitor_reports import DisplayFilter, said
 from targets.sim.view.data.history import gathered
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.web.page import page
@@ -49,7 +49,7 @@ def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[floa
     names = {robot.pid: robot.name for robot in header.robots}
     seen: set[tuple[int, str]] = set()
     phases: dict[int, str] = {}
-    notable = Notable()
+    notable = DisplayFilter()
     found: list[tuple[float, str, str, str]] = []
     violations = 0
     for record in records:

@@ -28,7 +28,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header
 from targets.sim.view.data.history import History
-from targets.sim.view.web.guard import Guard
+from targets.sim.view.web.guard import ControlGuard
 from targets.sim.view.web.page import page
 
 HOST = "127.0.0.1"
@@ -45,7 +45,7 @@ def event(name: str, what: Any) -> bytes:
     return b"event: %b\ndata: %b\n\n" % (name.encode(), _encoder.encode(what))
 
 
-class Rows(Protocol):
+class RowStore(Protocol):
     """Collector of the rows that a new client receives."""
 
     def extend(self, chunk: dict[str, Any]) -> None: ...
@@ -53,12 +53,12 @@ class Rows(Protocol):
     def whole(self) -> dict[str, Any]: ...
 
 
-class Hub:
+class EventHub:
     """Distributor of events to all clients.
 
     Its methods may be called from any thread; none waits for a client."""
 
-    def __init__(self, header: Header, keep: Callable[[Header], Rows] = History) -> None:
+    def __init__(self, header: Header, keep: Callable[[Header], RowStore] = History) -> None:
         self.header = header
         self._keep = keep
         self._history = keep(header)
@@ -70,19 +70,19 @@ class Hub:
     def rows(self, chunk: dict[str, Any]) -> None:
         with self._lock:
             self._history.extend(chunk)
-            self._tell(event("rows", chunk))
+            self._broadcast(event("rows", chunk))
 
     def begin(self) -> None:
         """Discard all rows: round 1 begins now."""
         with self._lock:
             self._history = self._keep(self.header)
-            self._tell(event("whole", self._history.whole()))
+            self._broadcast(event("whole", self._history.whole()))
 
     def control(self, state: dict[str, Any]) -> None:
         """Send the state of the run's controls; `message` is the result of a command."""
         with self._lock:
             self._control = {**state, "message": ""}
-            self._tell(event("control", state))
+            self._broadcast(event("control", state))
 
     def renew(self, header: Header) -> None:
         """Start again with another header. An open page shows the old one until it is reloaded."""
@@ -93,7 +93,7 @@ class Hub:
     def send(self, name: str, what: Any) -> None:
         """Send an event that later clients do not receive."""
         with self._lock:
-            self._tell(event(name, what))
+            self._broadcast(event(name, what))
 
     def end(self, words: str) -> None:
         self.send("over", {"words": words})
@@ -102,7 +102,7 @@ class Hub:
             time.sleep(0.05)
         self.over.set()
 
-    def _tell(self, words: bytes) -> None:
+    def _broadcast(self, words: bytes) -> None:
         for client in self._clients:
             try:
                 client.put_nowait(words)
@@ -147,7 +147,7 @@ class Server(ThreadingHTTPServer):
     block_on_close = False
 
     def __init__(
-        self, port: int, hub: Hub, offer: dict[str, Any] | None = None,
+        self, port: int, hub: EventHub, offer: dict[str, Any] | None = None,
         obey: Callable[[dict[str, Any]], bool] = pass_on, host: str = HOST, handler: type[Handler] | None = None,
     ) -> None:  # fmt: skip
         """Create the server.
@@ -159,7 +159,7 @@ class Server(ThreadingHTTPServer):
         own = self.server_address[1]
         # Another host name for this address belongs to another site, which must not read the page (DNS rebinding).
         self.names = {f"{name}:{own}" for name in (HOST, "localhost")}
-        self.guard = None if offer is None else Guard(self.names)
+        self.guard = None if offer is None else ControlGuard(self.names)
 
     @property
     def page(self) -> bytes:
@@ -262,7 +262,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when this process ends
     lines = sys.stdin.buffer
     first = json.loads(lines.readline())
-    hub = Hub(msgspec.convert(first["header"], Header))
+    hub = EventHub(msgspec.convert(first["header"], Header))
     try:
         server = Server(int(sys.argv[1]), hub, first.get("control"))
     except OSError as error:

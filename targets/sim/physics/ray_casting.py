@@ -24,7 +24,7 @@ _SEAM = 1e-9  # share of its length by which a segment is extended, so that no r
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
+class LidarMount:
     """A lidar: position (m), number of rays, range (m), and number of the body that it is mounted on.
 
     Rays are spread evenly over the full turn; the first points east. The lidar does not see its own body."""
@@ -67,7 +67,7 @@ class Slice:
     circles: Array
 
 
-class Scenery:
+class ObstacleMap:
     """All obstacles, numbered from 0 in the order of creation."""
 
     def __init__(self) -> None:
@@ -111,11 +111,11 @@ def shifted(obstacle: Obstacle, by: Point) -> Obstacle:
             return Mesh(tuple(each + by for each in vertices), faces)
 
 
-def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
+def cast_rays(eyes: Sequence[LidarMount], scenery: ObstacleMap, bodies: Bodies) -> list[Array]:
     """Return the distance (m) along each ray to the first obstacle or other body; inf beyond the range.
 
     The floor ends no ray, nor does a solid that contains the lidar."""
-    field = _Field(eyes)
+    field = _Rays(eyes)
     slices = [scenery.cut(eye.place[2]) for eye in eyes]
     others = field.others(bodies)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -126,13 +126,13 @@ def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
         ways = field.ways[:, rays]
         distances = np.concatenate(
             (
-                segments.met(things[:split], ways[:, :split]),
-                circles.met(things[split:] - segments.count, ways[:, split:]),
+                segments.distances(things[:split], ways[:, :split]),
+                circles.distances(things[split:] - segments.count, ways[:, split:]),
             )
         )
-        field.hit(rays, distances)
+        field.shorten(rays, distances)
         if not bodies.level.all():
-            _see_tilted(field, bodies, others)
+            _cast_at_tilted(field, bodies, others)
     found = []
     for eye, first in zip(eyes, field.first.tolist(), strict=True):
         ranges = field.nearest[first : first + eye.rays]
@@ -161,16 +161,16 @@ def _sections(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
     return eye, np.concatenate((bodies.centres[:2, body], bodies.sizes[:1, body] / 2))
 
 
-class _Field:
+class _Rays:
     """Rays of all lidars in one array, with the nearest distance of each so far."""
 
-    def __init__(self, eyes: Sequence[Eye]) -> None:
+    def __init__(self, eyes: Sequence[LidarMount]) -> None:
         self.eyes = eyes
         self.rays = np.array([eye.rays for eye in eyes], dtype=np.int64)
         self.range = np.array([eye.range for eye in eyes])
         self.places = np.array([eye.place[:2] for eye in eyes]).T
         self.first: Index = np.cumsum(self.rays) - self.rays
-        angles = [_turn(eye.rays) for eye in eyes]
+        angles = [_ray_directions(eye.rays) for eye in eyes]
         self.ways = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
         self.nearest = np.full(self.ways.shape[1], np.inf)
 
@@ -194,23 +194,23 @@ class _Field:
         ray = np.arange(len(thing)) + (lowest - (np.cumsum(count) - count))[thing]
         return thing, self.first[eye][thing] + ray % each[thing]
 
-    def hit(self, ray: Index, distance: Array) -> None:
+    def shorten(self, ray: Index, distance: Array) -> None:
         """Shorten rays to at most these distances."""
         np.minimum.at(self.nearest, ray, distance)
 
 
-_turns: dict[int, Array] = {}
+_directions: dict[int, Array] = {}
 
 
-def _turn(rays: int) -> Array:
+def _ray_directions(rays: int) -> Array:
     """Return the directions of evenly spread rays, (2, n)."""
-    if rays not in _turns:
+    if rays not in _directions:
         angles = np.arange(rays) * (math.tau / rays)
-        _turns[rays] = np.stack((np.cos(angles), np.sin(angles)))
-    return _turns[rays]
+        _directions[rays] = np.stack((np.cos(angles), np.sin(angles)))
+    return _directions[rays]
 
 
-def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
+def _gathered(field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
     """Return all shapes relative to their lidars, one column each, and the lidar of each column."""
     eye = np.concatenate((np.repeat(np.arange(len(parts)), [len(part) for part in parts]), others[0]))
     things = np.concatenate((*(part.T for part in parts), others[1]), axis=1)
@@ -224,7 +224,7 @@ def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) ->
 class _Segments:
     """Segments within the lidars' ranges. `seen` holds the arguments of `_Rays.spread`."""
 
-    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+    def __init__(self, field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> None:
         eye, ends = _gathered(field, parts, others)
         along = ends[2:] - ends[:2]
         # length times distance of the line, signed by the side on which the lidar is
@@ -236,7 +236,7 @@ class _Segments:
         self.seen = eye[near], begin, (end - begin) % math.tau
         self.count = len(begin)
 
-    def met(self, thing: Index, way: Array) -> Array:
+    def distances(self, thing: Index, way: Array) -> Array:
         """Return the distances along rays to their segments; inf for a miss."""
         x, y, along_x, along_y, area = self._of_each[:, thing]
         turned = way[0] * along_y - way[1] * along_x
@@ -249,7 +249,7 @@ class _Segments:
 class _Circles:
     """Circles within the lidars' ranges, with the interface of `_Segments`."""
 
-    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+    def __init__(self, field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> None:
         eye, circles = _gathered(field, parts, others)
         away = np.hypot(circles[0], circles[1])
         near = (away > circles[2]) & (away - circles[2] < field.range[eye])
@@ -257,7 +257,7 @@ class _Circles:
         half = np.arcsin(circles[2] / away[near])
         self.seen = eye[near], np.arctan2(circles[1], circles[0]) - half, 2 * half
 
-    def met(self, thing: Index, way: Array) -> Array:
+    def distances(self, thing: Index, way: Array) -> Array:
         """Return the distances along rays to their circles; inf for a miss."""
         x, y, radius = self._of_each[:, thing]
         aside = way[0] * y - way[1] * x
@@ -266,7 +266,7 @@ class _Circles:
         return distance
 
 
-def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
+def _cast_at_tilted(field: _Rays, bodies: Bodies, others: Mask) -> None:
     """Shorten the rays that hit tilted bodies, computed in each body's frame."""
     places = np.array([eye.place for eye in field.eyes])
     apart = bodies.centres.T[None] - places[:, None]
@@ -295,7 +295,7 @@ def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
     ends[:2] = np.where(rounded, (half_chord - b) / a, ends[:2])
     distance = np.maximum.reduce(begins)
     distance[~((distance >= 0.0) & (distance <= np.minimum.reduce(ends)))] = np.inf
-    field.hit(ray, distance)
+    field.shorten(ray, distance)
 
 
 def _cut(
@@ -312,12 +312,12 @@ def _cut(
             circles.append((base.x, base.y, radius))
         case Mesh(vertices, faces):
             for face in faces:
-                cut = _crossed([vertices[i] for i in face], z)
+                cut = _triangle_section([vertices[i] for i in face], z)
                 if cut is not None:  # visible from both sides
                     segments += [cut, (*cut[2:], *cut[:2])]
 
 
-def _crossed(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:
+def _triangle_section(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:
     """Return the section of a triangle at a height. A corner at exactly that height counts as above it."""
     found: list[tuple[float, float]] = []
     for p, q in zip(corners, corners[1:] + corners[:1], strict=True):

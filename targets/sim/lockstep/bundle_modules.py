@@ -15,7 +15,7 @@ from typing import IO
 SHARED = ("koordgen", "targets", "__main__")
 
 
-class Own:
+class BundleModules:
     """Context manager in which code of one robot's bundle runs.
 
     The user's code gets a `time` module that reads the run's clock and does not sleep, and its output goes into

@@ -32,13 +32,13 @@ from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
-from targets.sim.base.bodies import Embodied
+from targets.sim.base.bodies import DirectlyDriven
 from targets.sim.base.scenario import Robot, Scenario
-from targets.sim.lockstep.own import Own
-from targets.sim.lockstep.shares import Shares
-from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
-from targets.sim.run.crew import Agent
-from targets.sim.run.stage import Actor
+from targets.sim.lockstep.bundle_modules import BundleModules
+from targets.sim.lockstep.time_shares import TimeShares
+from targets.sim.lockstep.wires import EPOCH, LockstepServices, MemoryWiring
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.scene import Actor
 
 # State that survives a crash in lockstep, as the file of a real robot does (runtime/agent/store.py).
 
@@ -75,10 +75,10 @@ class MemoryStore:
 KILLED = -9
 
 
-class Told:
+class TraceFile:
     """Trace file that also keeps the lines written since they were last read."""
 
-    def __init__(self, file: IO[bytes], shares: Shares) -> None:
+    def __init__(self, file: IO[bytes], shares: TimeShares) -> None:
         self._file, self._shares = file, shares
         self.lines: list[bytes] = []
 
@@ -96,10 +96,10 @@ class Told:
         self._file.close()
 
 
-class Timed(MemoryNetwork):
+class TimedNetwork(MemoryNetwork):
     """Network in memory that measures its own processing time."""
 
-    def __init__(self, clock: Clock, seed: int, shares: Shares) -> None:
+    def __init__(self, clock: Clock, seed: int, shares: TimeShares) -> None:
         super().__init__(clock, seed)
         self._shares = shares
 
@@ -122,12 +122,12 @@ class Shared:
         self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
         self.iterations, self.limit = iterations, limit
         self.clock = SimulatedClock()
-        self.shares = Shares()
-        self.network = Timed(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
-        self.hub = Hub()
+        self.shares = TimeShares()
+        self.network = TimedNetwork(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
+        self.hub = MemoryWiring()
 
 
-class Resident(Agent):
+class LockstepAgent(AgentHandle):
     """Agent handle of a robot in lockstep. After construction it is not yet launched."""
 
     def __init__(self, robot: Robot, folder: Path, shared: Shared) -> None:
@@ -137,11 +137,13 @@ class Resident(Agent):
         self._dice = Random(f"{shared.seed}/{robot.pid}/agent")
         self._store = MemoryStore()
         self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
-        self._out: Told | None = None  # the trace's file
+        self._out: TraceFile | None = None  # the trace's file
         self._seen: list[TraceRecord] = []  # since `look` was last called
-        self._own = Own(shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log)
+        self._own = BundleModules(
+            shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log
+        )
         self._inside: AbstractContextManager[None] = self._own
-        self._surroundings: list[Surroundings] = []  # one per start: devices beside a crashed agent run on
+        self._surroundings: list[LockstepServices] = []  # one per start: devices beside a crashed agent run on
         self._machine: Machine | None = None
         self._platform: Platform | None = None
         self._transport: MemoryTransport | None = None
@@ -164,7 +166,7 @@ class Resident(Agent):
         self._status, self._wake = None, shared.clock.now()
         self._out = self._opened()
         seed = self._dice.getrandbits(31)
-        self._surroundings.append(Surroundings(shared.hub, shared.clock.now, seed, shared.iterations))
+        self._surroundings.append(LockstepServices(shared.hub, shared.clock.now, seed, shared.iterations))
         try:
             with self._own:
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
@@ -190,9 +192,9 @@ class Resident(Agent):
         """Return the settings that override the robot's own."""
         return {"body": actor.overrides}
 
-    def _opened(self) -> Told:
+    def _opened(self) -> TraceFile:
         """Open the trace's file. Raises OSError."""
-        return Told(self.trace_file.open("ab"), self._shared.shares)
+        return TraceFile(self.trace_file.open("ab"), self._shared.shares)
 
     def _loaded(self) -> tuple[Program, Properties, Drivers]:
         """Return program, properties and drivers of the robot's bundle."""
@@ -200,7 +202,7 @@ class Resident(Agent):
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """Return the platform of the device if it has one, otherwise that of the target."""
-        if isinstance(actor.device, Embodied):
+        if isinstance(actor.device, DirectlyDriven):
             return actor.device.platform(settings, self._shared.key, self._surroundings[-1])
         module, _, member = self.robot.inside.partition(":")
         made: Platform = getattr(importlib.import_module(module), member)(
@@ -273,7 +275,7 @@ class Resident(Agent):
             self._log.write(line + "\n")
 
     def note(self, line: str) -> None:
-        """Write a line between the agent's own lines. See Agent."""
+        """Write a line between the agent's own lines. See AgentHandle."""
         self._emit("warning", line)
 
     def _warn(self, text: str) -> None:
@@ -287,7 +289,7 @@ class Resident(Agent):
     def status(self) -> int | None:
         return self._status
 
-    def tell_end(self) -> None:
+    def request_end(self) -> None:
         self.told = True
         if self._thawed == math.inf:
             self.thaw()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from time import perf_counter
 
 
-class Shares:
+class TimeShares:
     """Seconds by part. Devices are also counted within `stage`; network and trace also within `agents`."""
 
     def __init__(self) -> None:

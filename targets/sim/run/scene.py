@@ -18,21 +18,21 @@ from numpy.typing import NDArray
 
 from koordgen.runtime.vehicle.datagrams import raw_clock
 from targets.sim.autopilots.external import ExternalAutopilot
-from targets.sim.autopilots.simple import DirectCar, DirectQuad
+from targets.sim.autopilots.simple import SimpleCarDevice, SimpleQuadDevice
 from targets.sim.base.bodies import BodyState, Device, DeviceContext, Vector
+from targets.sim.base.degraded_actuators import DegradedActuators
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Loopback, Wiring
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.base.slowed import Slowed
-from targets.sim.base.upset import Upset
-from targets.sim.physics.car import Running, SimulatedCar
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.car import CarDynamics, SimulatedCar
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import Rigid, World
+from targets.sim.physics.world import Rigid, SimulatedWorld
 from targets.sim.sensing.lidar import SETTING, SimulatedLidar
 from targets.sim.sensing.station import SimulatedFeed, fed
 
 
-class Body(Protocol):
+class SceneBody(Protocol):
     """Methods of a body that the scene uses; devices use more of them."""
 
     rigid: Rigid
@@ -40,27 +40,30 @@ class Body(Protocol):
     def state(self) -> BodyState: ...
 
 
-def _quadrotor(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
+def _quadrotor(world: SimulatedWorld, robot: Robot, harness: Mapping[str, Any]) -> SceneBody:
     make = SimpleQuadrotor if robot.sim.fidelity == "simple" else SimulatedQuadrotor
     return make(world, robot.start.position, robot.start.yaw)
 
 
-def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
+def _car(world: SimulatedWorld, robot: Robot, harness: Mapping[str, Any]) -> SceneBody:
     wheelbase = float(robot.settings.get("wheelbase", 0.33))
     max_steering = float(robot.settings.get("max_steering", 0.4))
-    make = SimpleCar if robot.sim.fidelity == "simple" else SimulatedCar
-    return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
+    make = SimpleCarBody if robot.sim.fidelity == "simple" else SimulatedCar
+    return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, CarDynamics.of(harness))
 
 
 # Names that a target's [simulation] table may use. Devices are imported only when a robot needs them.
-BODIES: dict[str, Callable[[World, Robot, Mapping[str, Any]], Body]] = {"quadrotor": _quadrotor, "car": _car}
+BODIES: dict[str, Callable[[SimulatedWorld, Robot, Mapping[str, Any]], SceneBody]] = {
+    "quadrotor": _quadrotor,
+    "car": _car,
+}
 DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilots.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.autopilots.drive:simulated",
 }
 
 # Devices of robots of fidelity `simple`, by their body.
-SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": DirectQuad, "car": DirectCar}
+SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": SimpleQuadDevice, "car": SimpleCarDevice}
 
 Clock = Callable[[], float]
 
@@ -70,10 +73,10 @@ class Actor:
     """Simulated part of one robot: body, device and sensors."""
 
     robot: Robot
-    body: Body
+    body: SceneBody
     device: Device
     sensors: tuple[Device, ...]  # lidar and position feed, if the robot has settings for them
-    upset: Upset
+    fault_state: FaultState
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -95,7 +98,7 @@ class Closest:
 
 
 @dataclass(slots=True)
-class Watch:
+class SeparationMonitor:
     """Separation and contacts of all robots, checked at every step.
 
     Separation is the distance in space between the robots' reference points, which are their positions. Times are those
@@ -131,7 +134,7 @@ def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.triu_indices(count, 1)
 
 
-class Stage:
+class SimulationScene:
     """Owner of world, bodies and devices; `close` frees them.
 
     The same scenario, seed and commands give the same motion. Call `check` for the scenario before."""
@@ -149,9 +152,9 @@ class Stage:
         `wiring` connects devices to agents. `clock` is the agents' clock, which stamps measurements. Raises
         BadScenario, contacts.NoEngine, and contacts.NoWindow if a window is requested but not available."""
         world = scenario.world
-        self.world = World(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
+        self.world = SimulatedWorld(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
         self.actors: list[Actor] = []
-        self.watch = Watch(scenario.number("min_separation", 0.0))
+        self.watch = SeparationMonitor(scenario.number("min_separation", 0.0))
         self.spent = 0.0  # host seconds spent on devices
         try:
             for obstacle in scenario.obstacles:
@@ -223,7 +226,7 @@ def check(scenario: Scenario) -> None:
 
 def _check_contacts(scenario: Scenario) -> None:
     """Check contacts at the start, by one step in a world of its own."""
-    world = World(engine=scenario.engine)
+    world = SimulatedWorld(engine=scenario.engine)
     try:
         for obstacle in scenario.obstacles:
             world.obstacle(obstacle)
@@ -242,7 +245,7 @@ def _check_contacts(scenario: Scenario) -> None:
 
 
 def _actor(
-    world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
+    world: SimulatedWorld, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
 ) -> Actor:
     make = device_class(robot.device)
     origin = scenario.origin
@@ -250,10 +253,10 @@ def _actor(
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    upset = Upset()
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset,
+    fault_state = FaultState()
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, fault_state,
                             scenario.application_id)  # fmt: skip
-    slowed = Slowed(body, upset, lambda: world.time)
+    slowed = DegradedActuators(body, fault_state, lambda: world.time)
     if robot.sim.fidelity == "simple":
         make = SIMPLE[robot.body]
     device = ExternalAutopilot(slowed, context, robot.pid) if robot.external else make(slowed, context)
@@ -261,4 +264,4 @@ def _actor(
     setting = fed(robot.settings)
     if setting and robot.sim.fidelity != "simple":  # a simple robot needs no position feed
         sensors.append(SimulatedFeed(body, context, setting, clock))
-    return Actor(robot, body, device, tuple(sensors), upset)
+    return Actor(robot, body, device, tuple(sensors), fault_state)

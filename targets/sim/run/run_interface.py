@@ -17,10 +17,10 @@ from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
 
 if TYPE_CHECKING:
-    from targets.sim.run.stage import Stage
+    from targets.sim.run.scene import SimulationScene
 
 
-class Agent(ABC):
+class AgentHandle(ABC):
     """Handle of one robot's agent, with its state as far as its trace shows it.
 
     Its files are in `folder`. Times are those of the run's clock (`AgentsAndClock.now`)."""
@@ -59,7 +59,7 @@ class Agent(ABC):
         return None
 
     @abstractmethod
-    def tell_end(self) -> None:
+    def request_end(self) -> None:
         """Tell the agent to stop safely and end."""
 
     @abstractmethod
@@ -82,7 +82,7 @@ class Agent(ABC):
     def freeze(self, seconds: float) -> None:
         """Inject a freeze for `seconds`: the agent does not run, and datagrams to it wait or are lost.
 
-        An infinite freeze lasts until `thaw`, at most until `tell_end`."""
+        An infinite freeze lasts until `thaw`, at most until `request_end`."""
 
     @property
     @abstractmethod
@@ -159,14 +159,14 @@ class Agent(ABC):
         return str(self.first_fault.fault) if self.first_fault else ""
 
 
-Step = Callable[[float], None]  # one step of the world, at a time of the run's clock
+WorldStep = Callable[[float], None]  # one step of the world, at a time of the run's clock
 
 
-class Conduct(Protocol):
+class AgentsAndClock(Protocol):
     """Agents and clock of a run."""
 
     @property
-    def agents(self) -> Sequence[Agent]:
+    def agents(self) -> Sequence[AgentHandle]:
         """Agent handles by pid."""
         ...
 
@@ -180,11 +180,11 @@ class Conduct(Protocol):
         """Number of steps that began more than one step too late."""
         ...
 
-    def stage(self) -> Stage:
+    def scene(self) -> SimulationScene:
         """Create the world, its bodies and the devices for these agents."""
         ...
 
-    def launch(self, stage: Stage) -> None:
+    def launch(self, scene: SimulationScene) -> None:
         """Start all agents, and the clock. Raises OSError."""
         ...
 
@@ -198,7 +198,7 @@ class Conduct(Protocol):
         """Return the time of the agents' clock in seconds."""
         ...
 
-    def go_on(self, step: Step) -> None:
+    def go_on(self, step: WorldStep) -> None:
         """Advance the run by some milliseconds: due steps of the world, and the agents' work meanwhile."""
         ...
 

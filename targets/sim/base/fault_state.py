@@ -14,7 +14,7 @@ T = TypeVar("T")
 Vector = tuple[float, float, float]
 
 
-class Positioning(msgspec.Struct, frozen=True):
+class PositioningFault(msgspec.Struct, frozen=True):
     """Errors of a robot's positions, added to its usual noise and delay.
 
     noise: m, standard deviation. bias: m, ENU. delay: s. dropout: share of positions that are lost, 0 to 1."""
@@ -25,17 +25,17 @@ class Positioning(msgspec.Struct, frozen=True):
     dropout: float = 0.0
 
 
-WELL = Positioning()
+NO_POSITIONING_FAULT = PositioningFault()
 
 
 @dataclass(slots=True)
-class Upset:
+class FaultState:
     """Present faults of a robot's devices.
 
     `positioning`: errors of its positions. `battery`: largest state of charge, 0 to 1. `lag`: time constant of its
     motors and servos (s)."""
 
-    positioning: Positioning = WELL
+    positioning: PositioningFault = NO_POSITIONING_FAULT
     battery: float = 1.0
     lag: float = 0.0
     _past: deque[tuple[float, Any]] = field(default_factory=deque)

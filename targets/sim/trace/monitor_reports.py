@@ -19,7 +19,7 @@ SOON = 2  # rounds within which a robot's monitor has evaluated the property
 Key = tuple[str, str, str]  # of, name, line
 
 
-class Noticed(msgspec.Struct):
+class MonitorSummary(msgspec.Struct):
     """Monitor reports on one property.
 
     `seen`: robots that reported a violation, with the first time. `acted`: their reactions. `missed`: robots that
@@ -35,7 +35,7 @@ class Noticed(msgspec.Struct):
     mistaken: list[str] = []
 
 
-class Notable:
+class DisplayFilter:
     """Filter of monitor records for display: violations and their ends, up to fixed numbers."""
 
     def __init__(self) -> None:
@@ -74,14 +74,14 @@ class Monitored:
     def take(self, record: Monitor) -> None:
         self._said.setdefault(_key(record), {}).setdefault(record.pid, []).append(record)
 
-    def beside(self, verdicts: Sequence[Verdict]) -> list[Noticed]:
+    def beside(self, verdicts: Sequence[Verdict]) -> list[MonitorSummary]:
         """Compare with the simulator's verdicts. Return the properties with something to report.
 
         A property that the simulator does not judge, such as a contract of a function, has no `missed`."""
         truths = {(v.of, v.name, v.line): v for v in verdicts}
         found = []
         for key, by_robot in self._said.items():
-            one, truth = Noticed(*key), truths.get(key)
+            one, truth = MonitorSummary(*key), truths.get(key)
             for pid, records in sorted(by_robot.items()):
                 name = self._names.get(pid, f"robot {pid}")
                 first = next((r for r in records if r.outcome == "violated"), None)
@@ -104,7 +104,7 @@ class Monitored:
         return last is not None and last.outcome == "held" and last.age == 0
 
 
-def as_text(found: Noticed) -> str:
+def as_text(found: MonitorSummary) -> str:
     """Return a summary as one line."""
     parts = []
     if found.seen:
