@@ -17,8 +17,8 @@ from typing import Protocol
 import msgspec
 
 from koordgen.runtime.values.points import Point, transmissible
-from koordgen.runtime.vehicle.inside import Inside as Surroundings
 from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices as Surroundings
 from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World

@@ -52,7 +52,7 @@ class _Other:
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
+class AgreedMission:
     """Agreed mission: epoch, fleet time of round 1 (s), and all robots' round-0 entries by pid."""
 
     epoch: bytes
@@ -120,12 +120,12 @@ class Joining:
         self._agree()
 
     @property
-    def mission(self) -> Mission | None:
+    def mission(self) -> AgreedMission | None:
         """The agreed mission, once its start is known."""
         inits = self._inits()
         if self._start is None or inits is None or self._returning:
             return None
-        return Mission(self._link.epoch, self._start, inits)
+        return AgreedMission(self._link.epoch, self._start, inits)
 
     def poll(self, now: float, fleet: float | None) -> float:
         """Send all Hellos that are due at local time `now`. Return the time of the next call.

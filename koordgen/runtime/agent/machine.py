@@ -10,10 +10,10 @@ import traceback
 from collections.abc import Sequence
 from typing import Any
 
+from koordgen.runtime.agent.checkpoint import CheckpointStore
 from koordgen.runtime.agent.joining import Joining
-from koordgen.runtime.agent.keeping import Keeping, first_hard_state
+from koordgen.runtime.agent.persistence import Persistence, first_hard_state
 from koordgen.runtime.agent.rounds import Lost, Rounds
-from koordgen.runtime.agent.store import Keeper
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.monitor.monitor import Cpu, Monitors
 from koordgen.runtime.net.codec import encoder
@@ -34,7 +34,7 @@ from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import transmissible
-from koordgen.runtime.vehicle.body import Body
+from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
 from koordgen.runtime.vehicle.safety import Guard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
@@ -61,7 +61,7 @@ class Agent:
         trace: Trace,
         emit: Emit,
         boot: bytes,
-        store: Keeper,
+        store: CheckpointStore,
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
         properties: Properties | None = None,
@@ -83,11 +83,13 @@ class Agent:
             program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
         self._joining = Joining(self._link, self._layout, self._names)
-        self._keeping = Keeping(store, program, len(self._names))
-        if self._keeping.interrupted:
-            self._joining.come_back(self._keeping.interrupted)
+        self._persistence = Persistence(store, program, len(self._names))
+        if self._persistence.interrupted:
+            self._joining.come_back(self._persistence.interrupted)
         fence, budget = settings.geofence, settings.planner_budget
-        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
+        self._body = VehicleInterface(
+            program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now
+        )
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._positions = tuple(p.name for p in program.ports if p.is_position)
         self._guard = Guard(settings.safety, settings.geofence, self._positions)
@@ -223,7 +225,7 @@ class Agent:
         if self.phase not in ("starting", "joining"):
             return math.inf
         if self._init is not None:
-            self._keeping.mission(self._link.epoch, self._init)
+            self._persistence.mission(self._link.epoch, self._init)
         wake = self._joining.poll(now, fleet)
         if self._joining.lost and self.phase == "joining":
             self._journal.warn("no robot is in the mission that this robot would rejoin: a new mission begins")
@@ -305,7 +307,7 @@ class Agent:
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
             if self.done and not self._broken:
-                self._keeping.forget()  # no mission left to rejoin
+                self._persistence.forget()  # no mission left to rejoin
 
     def _begin_joining(self, now: float) -> None:
         """Hold position, and run `init` once: the vehicle is ready."""
@@ -313,12 +315,12 @@ class Agent:
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
-        if not self._keeping.interrupted:
+        if not self._persistence.interrupted:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
         """Begin a new mission, without state of an earlier one."""
-        self._keeping.forget()
+        self._persistence.forget()
         sensed = self._platform.sense(now)
         shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
@@ -352,12 +354,12 @@ class Agent:
             state = StateMachine.begin(self._layout, self._settings.pid, hard_state.view, mission.inits)
         elif returned is not None:
             start, epoch, state = returned, self._link.epoch, None
-            hard_state = self._keeping.last_hard_state()
+            hard_state = self._persistence.last_hard_state()
             if self._init is None:
-                lives = self._keeping.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
+                lives = self._persistence.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
             else:
                 lives = [self._init]
-                self._keeping.mission(epoch, self._init)
+                self._persistence.mission(epoch, self._init)
         else:
             return
         timeout = self._settings.safety.peer_timeout
@@ -365,7 +367,7 @@ class Agent:
         room = self._link.speech.room
         replica = Replica(self._settings.pid, self._layout, state, hard_state, timeout, room)
         self._driver = Driver(
-            replica, self._link, self._keeping.hard_state, lambda private: self._keeping.life(*private)
+            replica, self._link, self._persistence.hard_state, lambda private: self._persistence.life(*private)
         )  # fmt: skip
         self._rounds = Rounds(
             self._runner, self._body, self._driver, self._fleet_clock, self._names, start, self._settings.delta, lives,

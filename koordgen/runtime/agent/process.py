@@ -24,8 +24,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
+from koordgen.runtime.agent.checkpoint import CheckpointFile
 from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
-from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import BadSettings, Settings
 from koordgen.runtime.native import protocol
 from koordgen.runtime.native.loader import NotCompiled
@@ -292,7 +292,7 @@ class _Signals:
             raise EndedAtOnce
 
 
-def _open_store(program: Program, settings: Settings, root: Path) -> Store:
+def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointFile:
     """Open the store beside the bundle, not in it: a bundle can be replaced only without user files in it."""
 
     def warn(text: str) -> None:
@@ -303,7 +303,7 @@ def _open_store(program: Program, settings: Settings, root: Path) -> Store:
         path = None
     else:
         path = root.resolve().parent / settings.state / f"{settings.robot}.state"
-    return Store.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
+    return CheckpointFile.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
 
 
 def _open_trace(settings: Settings) -> Trace:

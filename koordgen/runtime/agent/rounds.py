@@ -15,9 +15,9 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.agent.outbox import AHEAD, Outbox, has_outputs
+from koordgen.runtime.agent.output_commit import AHEAD, OutputCommit, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
-from koordgen.runtime.net.metrics import Counters
+from koordgen.runtime.net.metrics import RoundCounters
 from koordgen.runtime.net.wire import ReplicaMessage
 from koordgen.runtime.program.program import Effects, Frame, Life
 from koordgen.runtime.program.runner import (
@@ -35,9 +35,9 @@ from koordgen.runtime.program.runner import (
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Moment
+from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Observation
 from koordgen.runtime.trace.writer import Observe, Record
-from koordgen.runtime.vehicle.body import Body, unusable
+from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
 PUBLISH = 0.5  # of delta: the publish deadline, when a round's entry is sent at the latest
@@ -72,7 +72,7 @@ class Rounds:
     def __init__(
         self,
         runner: Runner,
-        body: Body,
+        body: VehicleInterface,
         driver: Driver,
         clock: FleetClock,
         names: tuple[str, ...],
@@ -97,15 +97,15 @@ class Rounds:
         self._left = False
         self._handled = 0  # the last applied round that was settled and acknowledged
         self._restored: Life | None = None  # goes into the next record
-        self._outbox = Outbox(lives[0])
+        self._outbox = OutputCommit(lives[0])
         self._outbox.lives = list(lives)
         self._store_changes = self._replica.store_changes
         self._view = self._replica.views.view.number  # the latest view in which this robot has sent a report
         self.stopped = self._outbox.life.stopped
-        self.counters = Counters()
+        self.counters = RoundCounters()
         self.reason: str | None = None  # why the last round that was closed had no event
         self.watched = False  # true if monitors need `moment`
-        self.moment: Moment | None = None  # what the robot knew at the beginning of that round
+        self.moment: Observation | None = None  # what the robot knew at the beginning of that round
 
     @property
     def lacking(self) -> list[str]:
@@ -310,12 +310,12 @@ class Rounds:
         frame = self._runner.frame(state.shared, sensors, self._body.actuators, self._body.call)
         self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
 
-    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Moment:
+    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
         """Return what this robot knows before its event."""
         state, own, body = self._replica.state, self._runner.locals, self._body.actuators
         if state is None or self._outbox.first is not None or self._outbox.undecided:
-            return Moment(self.round, now, SENSED, sensed, sensors, own, {}, body)
-        return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
+            return Observation(self.round, now, SENSED, sensed, sensors, own, {}, body)
+        return Observation(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
         """Return why no event may run, as far as the shared memory goes; None if one may."""

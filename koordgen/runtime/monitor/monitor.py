@@ -28,7 +28,16 @@ from koordgen.runtime.program.property import (
     judged,
 )
 from koordgen.runtime.program.runner import LEFT, Limit, Overrun
-from koordgen.runtime.trace.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
+from koordgen.runtime.trace.monitored import (
+    FOR_GOOD,
+    OWN,
+    SENSED,
+    SHARED,
+    Change,
+    MonitoredProperty,
+    Observation,
+    usable,
+)
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.safety import GO, Verdict
@@ -59,12 +68,14 @@ class Monitors:
         self._actions = settings.monitors
         self._tell, self._limit, self._cpu = tell, limit, cpu
         self._round = 0
-        self._invariants: list[Watched] = []
-        self._assumptions: list[Watched] = []
+        self._invariants: list[MonitoredProperty] = []
+        self._assumptions: list[MonitoredProperty] = []
         # broken contracts, each with the event that broke it
-        self._contracts: dict[Contract, tuple[Watched, str | None]] = {}
-        self._loops: dict[int, tuple[Watched, str | None]] = {}  # false loop invariants by line, each with its event
-        self._off: list[Watched] = []
+        self._contracts: dict[Contract, tuple[MonitoredProperty, str | None]] = {}
+        self._loops: dict[
+            int, tuple[MonitoredProperty, str | None]
+        ] = {}  # false loop invariants by line, each with its event
+        self._off: list[MonitoredProperty] = []
         self._last: Record | None = None
         self._actuators: Mapping[str, Any] | None = None  # after the last record's round
         self._found = found
@@ -82,15 +93,15 @@ class Monitors:
                 places = [place.get(name, OWN) for name in p.reads]
                 reads, needs, senses = frozenset(p.reads), max(places, default=SENSED), SENSED in places
                 line = f"{program.source}:{p.line}"
-                self._invariants.append(Watched("invariant", p.name, line, action, p, reads, needs, senses))
+                self._invariants.append(MonitoredProperty("invariant", p.name, line, action, p, reads, needs, senses))
         for a in found.assumptions:
             if (action := self._action(f"assume {a.module}")) != "off":
                 self._assumptions.append(
-                    Watched("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
+                    MonitoredProperty("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
                 )
         # Separate budgets, so that neither group takes all the time.
         share = SHARE / 2 if self._invariants and self._assumptions else SHARE
-        self._invariant_time, self._assumption_time = Allowance(self._cpu, share), Allowance(self._cpu, share)
+        self._invariant_time, self._assumption_time = CpuBudget(self._cpu, share), CpuBudget(self._cpu, share)
         names = sorted(frozenset[str]().union(*(watched.reads for watched in self._invariants)))
         self._reading = [(name, place.get(name, OWN)) for name in names]
         self._values: dict[str, Any] = {}  # last values read
@@ -108,7 +119,7 @@ class Monitors:
         return self._actions.get(name) or self._actions.get("default") or "log"
 
     @property
-    def watched(self) -> list[Watched]:
+    def watched(self) -> list[MonitoredProperty]:
         """All properties with a verdict, or that may get one."""
         noted = (watched for watched, _ in (*self._contracts.values(), *self._loops.values()))
         return [*self._invariants, *self._assumptions, *self._off, *noted]
@@ -118,7 +129,7 @@ class Monitors:
         """True if observations are needed."""
         return bool(self._invariants or self._assumptions)
 
-    def look(self, moment: Moment | None) -> None:
+    def look(self, moment: Observation | None) -> None:
         """Evaluate invariants on the present round's observation, once per round.
 
         An exception here is an internal error: it switches all invariants off."""
@@ -132,7 +143,7 @@ class Monitors:
                 self._invariants = []
                 raise
 
-    def _look(self, moment: Moment) -> None:
+    def _look(self, moment: Observation) -> None:
         if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
             return
         changed = self._put(moment)
@@ -150,18 +161,18 @@ class Monitors:
             self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
         self._invariant_time.end()
 
-    def _is_urgent(self, asked: list[Watched]) -> bool:
+    def _is_urgent(self, asked: list[MonitoredProperty]) -> bool:
         """Return whether a property must be evaluated without regard to CPU time."""
         return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
-    def _wait(self, watched: Watched, moment: Moment) -> None:
+    def _wait(self, watched: MonitoredProperty, moment: Observation) -> None:
         """Set a property to unknown if its data are uncommitted for too long."""
         age = moment.round - watched.true
         if age > self._patience and watched.outcome not in (None, "unknown"):
             watched.due = True
             self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
 
-    def _put(self, moment: Moment) -> set[str]:
+    def _put(self, moment: Observation) -> set[str]:
         """Update the known values. Return the names of those that changed (by object identity)."""
         known, values, changed = self._known, self._values, set()
         for name, place in self._reading:
@@ -204,7 +215,7 @@ class Monitors:
             if action == "off":
                 return
             source = self._found.program.source if self._found is not None else ""
-            made = Watched("loop invariant", f"line {line}", f"{source}:{line}", action)
+            made = MonitoredProperty("loop invariant", f"line {line}", f"{source}:{line}", action)
             watched, _ = self._loops.get(line, (made, None))
             self._loops[line] = watched, event
             watched.true = round_
@@ -240,7 +251,7 @@ class Monitors:
             action = self._action(f"{contract.of} {contract.name}")
             if action == "off":
                 return
-            made = Watched(contract.of, contract.name, f"{fault.file}:{contract.line}", action)
+            made = MonitoredProperty(contract.of, contract.name, f"{fault.file}:{contract.line}", action)
             watched, _ = self._contracts.get(contract, (made, None))
             self._contracts[contract] = watched, record.event
             watched.true = record.round
@@ -252,11 +263,11 @@ class Monitors:
                     self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
 
     def _judge(
-        self, due: list[Watched], known: Known, allowance: Allowance, time: float, round_: int, old: int
+        self, due: list[MonitoredProperty], known: Known, allowance: CpuBudget, time: float, round_: int, old: int
     ) -> None:
         """Evaluate properties within the time budget. Sensor values are `old` rounds older than `round_`."""
-        found: list[tuple[Watched, Outcome, str]] = []
-        begun: Watched | None = None
+        found: list[tuple[MonitoredProperty, Outcome, str]] = []
+        begun: MonitoredProperty | None = None
         try:
             with self._limit(BUDGET * self._delta):
                 for watched in sorted(due, key=_urgency):
@@ -274,7 +285,7 @@ class Monitors:
                 why = self._told(watched, known)
             self._become(watched, outcome, why, time)
 
-    def _overran(self, late: Watched, time: float) -> None:
+    def _overran(self, late: MonitoredProperty, time: float) -> None:
         """Count an overrun, and switch the property off after too many."""
         late.overruns += 1
         if late.overruns > MOST_OVERRUNS:
@@ -283,7 +294,7 @@ class Monitors:
             self._off.append(late)
             self._become(late, "no value", f"it takes more than {BUDGET * self._delta * 1e3:.3g} ms: it is off", time)
 
-    def _told(self, watched: Watched, known: Known) -> str:
+    def _told(self, watched: MonitoredProperty, known: Known) -> str:
         """Return the robots and the values that made a property false."""
         trail: Trail = []
         assert self._found is not None
@@ -293,7 +304,7 @@ class Monitors:
         judged(watched.holds, again)
         return told(trail, self._names)[1]
 
-    def _become(self, watched: Watched, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
+    def _become(self, watched: MonitoredProperty, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
         change = watched.become(outcome, why, self._round, time, stale)
         if change is not None:
             self.verdict = self._demanded()
@@ -324,7 +335,7 @@ class Monitors:
         return bool(broken), counts + (f"; violated: {'; '.join(broken)}" if broken else "")
 
 
-def _urgency(watched: Watched) -> tuple[bool, int]:
+def _urgency(watched: MonitoredProperty) -> tuple[bool, int]:
     return watched.action == "log", watched.true
 
 
@@ -394,7 +405,7 @@ MOST = 0.001  # seconds that can be saved up
 Cpu = Callable[[], float]  # seconds of CPU time used by this thread
 
 
-class Allowance:
+class CpuBudget:
     """CPU budget. Call `begin` and `end` around the work.
 
     Without a `cpu` the budget is unlimited, as in a simulation, where a robot's behaviour must not depend on the

@@ -31,10 +31,10 @@ MODULES = (
         "state_machine", "views",
     )),
     *(f"koordgen.runtime.net.{name}" for name in (
-        "assembly", "codec", "fragments", "layout", "link", "metrics", "patch", "seal", "sessions", "speech",
+        "assembly", "codec", "fragments", "layout", "link", "metrics", "patch", "seal", "sender", "sessions",
         "udp",
     )),
-    *(f"koordgen.runtime.agent.{name}" for name in ("keeping", "rounds", "store")),
+    *(f"koordgen.runtime.agent.{name}" for name in ("persistence", "rounds", "checkpoint")),
     "koordgen.runtime.values.clock",
 )  # fmt: skip
 GROUP = "koordgen_protocol"  # mypyc's name of the library; GROUP__mypyc is the module that all others need

@@ -51,7 +51,7 @@ class _Edges(NamedTuple):
         return low + rates[0] * (now - low_at), high + rates[1] * (now - high_at)
 
 
-class _Peer:
+class _PeerClock:
     """Estimate of one peer's clock: the best bounds of every SLOT seconds, and the rates that they allow.
 
     `fleet` is the peer's fleet time minus its local time, as last reported, no earlier than at local time `said`."""
@@ -63,13 +63,13 @@ class _Peer:
         self._slots: deque[_Edges] = deque(maxlen=SLOTS)
         self._number = 0.0  # number of the last slot
         self._best: _Edges | None = None
-        self._odd: _Peer | None = None
+        self._odd: _PeerClock | None = None
 
     def limits(self, now: float) -> tuple[float, float]:
         """Return bounds of the time by which the peer's clock is ahead of this one."""
         return (-inf, inf) if self._best is None else self._best.on(now, self.rates)
 
-    def take(self, edges: _Edges, fleet: float | None) -> _Peer:
+    def take(self, edges: _Edges, fleet: float | None) -> _PeerClock:
         """Add an exchange. Return the estimate to use from now on.
 
         A new estimate begins when two successive exchanges agree with each other but not with the old one: one of the
@@ -78,7 +78,7 @@ class _Peer:
             self._odd = None
             return self
         if self._odd is None or not self._odd._add(edges, fleet):
-            self._odd = _Peer()
+            self._odd = _PeerClock()
             self._odd._add(edges, fleet)
             return self
         return self._odd
@@ -140,7 +140,7 @@ class FleetClock:
         self.reference = 0
         self.breaks = 0  # number of times that the reference's clock, or this one, changed its origin
         self._pid = pid
-        self._exchanges: dict[int, _Peer] = {}
+        self._exchanges: dict[int, _PeerClock] = {}
         self._known = pid == self.reference
         self._followed = -inf
         self._offset = 0.0
@@ -199,7 +199,7 @@ class FleetClock:
         low, high = edges.on(now, (-DRIFT, DRIFT))
         if not (peer != self._pid and sent <= now and received <= answered and low <= high):
             return False
-        before = self._exchanges.get(peer) or _Peer()
+        before = self._exchanges.get(peer) or _PeerClock()
         after = self._exchanges[peer] = before.take(edges, fleet)
         self._estimated = -inf
         if peer == self.reference:

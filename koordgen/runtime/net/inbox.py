@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
 NAP = 20e-6  # seconds of sleep for each missing datagram
@@ -52,10 +52,10 @@ def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None],
 
     `trouble` receives the errno of each failure to receive. `shares`: other robots of the group run on this
     computer."""
-    found = courier.COMPILED.library()
+    found = socket_batch.COMPILED.library()
     if found is None:
         return PythonInbox(sockets, trouble, shares)
-    return courier.CompiledInbox(found, sockets, trouble, shares)
+    return socket_batch.CompiledInbox(found, sockets, trouble, shares)
 
 
 PYTHON_COSTS = "sockets are read by Python: a round takes about 10 % more CPU, a round trip 2 to 3 times as long"
@@ -63,7 +63,7 @@ PYTHON_COSTS = "sockets are read by Python: a round takes about 10 % more CPU, a
 
 def accelerator() -> str:
     """Return why inboxes are not in C; "" if they are. The first call in a process may compile for 0.3 s."""
-    return courier.COMPILED.why()
+    return socket_batch.COMPILED.why()
 
 
 class PythonInbox:

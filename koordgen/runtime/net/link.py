@@ -15,8 +15,8 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.codec import decoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Arrival, Metrics
+from koordgen.runtime.net.sender import REFERENCE_EVERY, MessageSender, microseconds, others_every
 from koordgen.runtime.net.sessions import PeerSession
-from koordgen.runtime.net.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage
 from koordgen.runtime.program.program import Program
@@ -36,7 +36,7 @@ class _Exchange(NamedTuple):
 
 
 class Link:
-    """Receive path (`receive`) and, by `sender`, send path of one robot.
+    """Receive path (`receive`) and, by `speech`, send path of one robot.
 
     `report` receives messages for the operator, once for each peer. `sessions` are those of the peers whose boot was
     adopted, by pid. `strangers` are robots of this mission that sent messages from another boot than the adopted
@@ -74,7 +74,7 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.speech = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
 
     @property
     def epoch(self) -> bytes:

@@ -55,7 +55,7 @@ class Histogram:
 
 
 @dataclass(slots=True)
-class Counters:
+class RoundCounters:
     rounds: int = 0
     skipped: int = 0
     missed: int = 0  # rounds during which the agent did not run
@@ -68,11 +68,11 @@ class Counters:
     in_a_row: int = 0  # consecutive rounds, up to now, without current state or time for an event
 
 
-_COUNTED = tuple(f.name for f in fields(Counters))
+_COUNTED = tuple(f.name for f in fields(RoundCounters))
 
 
 def tally(
-    rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: Counters | None
+    rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: RoundCounters | None
 ) -> dict[str, int]:
     """Return all counters by name; dropped datagrams by reason."""
     counted = {f"dropped: {k}": v for k, v in rejected.items()} | {f"network: {k}": v for k, v in troubles.items()}
@@ -87,7 +87,7 @@ Arrival = tuple[int, int, float | None]
 
 
 @dataclass(slots=True)
-class _Peer:
+class _PeerFigures:
     """Statistics of one peer. `heard`: time of its last message; `longest`: longest silence (s)."""
 
     expected: int = 0
@@ -104,7 +104,7 @@ class Metrics:
 
     def __init__(self, pid: int, n_sys: int) -> None:
         self._pid = pid
-        self._peers = [_Peer() for _ in range(n_sys)]
+        self._peers = [_PeerFigures() for _ in range(n_sys)]
         self._late = Histogram()
         self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # see `heard`
         self._round = 0

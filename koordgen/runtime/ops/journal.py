@@ -12,7 +12,7 @@ from koordgen.runtime.net.wire import View
 from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Calls, Effects, Life
 from koordgen.runtime.replication.views import describe
-from koordgen.runtime.trace.watched import FOR_GOOD, Change
+from koordgen.runtime.trace.monitored import FOR_GOOD, Change
 from koordgen.runtime.trace.writer import Observe, Record, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.stall import State

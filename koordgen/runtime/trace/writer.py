@@ -20,7 +20,7 @@ from koordgen.runtime.trace.parts import Parts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
 if TYPE_CHECKING:  # imports this module itself
-    from koordgen.runtime.trace.watched import Change
+    from koordgen.runtime.trace.monitored import Change
 
 STARTING = "starting"  # first phase of every trace
 

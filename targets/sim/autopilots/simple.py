@@ -53,7 +53,7 @@ class SimpleDevice(ABC):
         return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
-        """Create the agent's platform in this process. See koordgen.runtime.vehicle.inside."""
+        """Create the agent's platform in this process. See koordgen.runtime.vehicle.simulator_services."""
         make: Callable[..., Any] = importlib.import_module(self.module).inside
         return make(settings, key, inside, self)
 

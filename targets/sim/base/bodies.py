@@ -12,8 +12,8 @@ from typing import Any, Protocol, runtime_checkable
 import msgspec
 
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Platform
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
 from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Loopback, Wiring
 
@@ -111,6 +111,6 @@ class DirectlyDriven(Protocol):
 
     In lockstep the agent uses this device's platform instead of its target's."""
 
-    def platform(self, settings: Settings, key: bytes | None, inside: Inside) -> Platform:
-        """Create the agent's platform, anew for each start. See koordgen.runtime.vehicle.inside."""
+    def platform(self, settings: Settings, key: bytes | None, inside: SimulatorServices) -> Platform:
+        """Create the agent's platform, anew for each start. See koordgen.runtime.vehicle.simulator_services."""
         ...

@@ -40,13 +40,13 @@ from targets.sim.lockstep.wires import EPOCH, LockstepServices, MemoryWiring
 from targets.sim.run.run_interface import AgentHandle
 from targets.sim.run.scene import Actor
 
-# State that survives a crash in lockstep, as the file of a real robot does (runtime/agent/store.py).
+# State that survives a crash in lockstep, as the file of a real robot does (runtime/agent/checkpoint.py).
 
 
 class MemoryStore:
     """Persistent store in memory, which outlives its agent.
 
-    Implements `koordgen.runtime.agent.store.Keeper`."""
+    Implements `koordgen.runtime.agent.checkpoint.CheckpointStore`."""
 
     def __init__(self) -> None:
         self._mission: Mission | None = None

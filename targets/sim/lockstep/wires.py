@@ -61,7 +61,7 @@ class MemoryPort:
 
 
 class MemoryPortEnd:
-    """Agent's end of a MemoryPort. Implements `koordgen.runtime.vehicle.inside.Exchange`.
+    """Agent's end of a MemoryPort. Implements `koordgen.runtime.vehicle.simulator_services.Exchange`.
 
     It can still be written to after the agent's death, as a serial line's end can."""
 
@@ -127,7 +127,7 @@ class MemorySerialLine:
 
 
 class MemorySerialEnd:
-    """Agent's end of a serial line. Implements `koordgen.runtime.vehicle.inside.Stream`.
+    """Agent's end of a serial line. Implements `koordgen.runtime.vehicle.simulator_services.Stream`.
 
     It can still be written to after the agent's death: the car's watchdog uses it, too."""
 
@@ -183,7 +183,7 @@ class MemoryWiring:
 class LockstepServices:
     """Services of the process for one start of one agent.
 
-    Implements `koordgen.runtime.vehicle.inside.Inside`.
+    Implements `koordgen.runtime.vehicle.simulator_services.SimulatorServices`.
 
     `steps` are called at each step of the world."""
 

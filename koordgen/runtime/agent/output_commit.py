@@ -27,7 +27,7 @@ class _Waiting:
     life: Life | None
 
 
-class Outbox:
+class OutputCommit:
     """Records of uncommitted rounds, in ascending order.
 
     `lives`: states that the robot may have to roll back to; the first is committed. `first`: the first round whose
@@ -94,7 +94,7 @@ class Outbox:
         first, commit = self._waiting[0], self._commit
         if commit is not None and state.applied >= commit.record.round:
             return True
-        return first.lock < 0 and _is_certain(first.record, state)
+        return first.lock < 0 and _is_committed(first.record, state)
 
     def ready(self, state: StateMachine | None) -> list[Record]:
         """Return the committed records, by ascending round.
@@ -103,7 +103,7 @@ class Outbox:
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
-            if not _is_certain(waiting.record, state):
+            if not _is_committed(waiting.record, state):
                 break
             self._waiting.popleft()
             found.append(waiting.record)
@@ -139,7 +139,7 @@ class Outbox:
         self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
-def _is_certain(record: Record, state: StateMachine | None) -> bool:
+def _is_committed(record: Record, state: StateMachine | None) -> bool:
     """Return whether no view can leave out what an event wrote, or what an event without effect has read."""
     if record.effects is None and record.frame is None:
         return True

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import msgspec
 
+from koordgen.runtime.agent.checkpoint import CheckpointStore, LocalsCodec
 from koordgen.runtime.agent.records import Acceptor, Loaded, Locals, Mission
-from koordgen.runtime.agent.store import Keeper, LocalsCodec
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.program.program import Life, Program
 from koordgen.runtime.replication.messages import HardState, Vote
 
 
-class Keeping:
+class Persistence:
     """Persistent state of one robot. `past`: state of an earlier process; empty once a new mission begins."""
 
-    def __init__(self, store: Keeper, program: Program, n_sys: int) -> None:
+    def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
         self._store = store
         self._codec = LocalsCodec(program)
         self._n = n_sys

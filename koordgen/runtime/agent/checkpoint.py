@@ -48,7 +48,7 @@ _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Dec
 _identity_decoder = msgspec.msgpack.Decoder(Identity)
 
 
-class Keeper(Protocol):
+class CheckpointStore(Protocol):
     """Store of the records that survive a crash of a robot's process."""
 
     def write(self, record: Kept) -> bool: ...
@@ -58,7 +58,7 @@ class Keeper(Protocol):
     def clear(self) -> None: ...
 
 
-class Store:
+class CheckpointFile:
     """Checkpoint file of one robot.
 
     `write` never raises. After a failure all records are erased, so that no restart finds an old state."""
@@ -80,7 +80,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
-             warn: Callable[[str], None]) -> Store:  # fmt: skip
+             warn: Callable[[str], None]) -> CheckpointFile:  # fmt: skip
         """Open the file at `path`, created and allocated if needed. Without a path, nothing is stored.
 
         A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""

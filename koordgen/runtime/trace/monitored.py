@@ -19,7 +19,7 @@ FOR_GOOD = ("land", "stop")
 SENSED, OWN, SHARED = range(3)
 
 
-class Moment(msgspec.Struct, frozen=True):
+class Observation(msgspec.Struct, frozen=True):
     """A robot's knowledge at the start of a round, before its event.
 
     `certain`: which parts are committed. `sensed`: local time at which the position was true; None: never."""
@@ -70,7 +70,7 @@ class Change:
 
 
 @dataclass(slots=True)
-class Watched:
+class MonitoredProperty:
     """A property that a robot monitors.
 
     It has `outcome` since round `since`; the outcome was last confirmed at the start of round `true`. It `reads` these

@@ -16,7 +16,7 @@ from koordgen.runtime.vehicle.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.vehicle.safety import clamped
 
 
-class Body:
+class VehicleInterface:
     """Interface between program and platform.
 
     `actuators`: values last written, before the geofence; the platform gets values clamped to it. A call may take

@@ -43,7 +43,7 @@ NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]
 
 
-class Speech:
+class MessageSender:
     """Sender of one robot's messages.
 
     `sessions` are those of adopted peers by pid: their datagrams are echoed."""

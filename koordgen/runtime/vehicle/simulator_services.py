@@ -40,7 +40,7 @@ class Stream(Protocol):
     def close(self) -> None: ...
 
 
-class Inside(Protocol):
+class SimulatorServices(Protocol):
     """Services for one robot's platform; new ones for each start of its agent.
 
     `seed`: for its random numbers. `iterations`: bounds planners' work instead of seconds."""

@@ -1,4 +1,4 @@
-"""Socket batch I/O in C: the binding of courier.c, with the interface that `inbox` documents.
+"""Socket batch I/O in C: the binding of socket_batch.c, with the interface that `inbox` documents.
 
 The library is compiled at its first use in a process, kept in a cache, and loaded by ctypes: see `native`.
 """
@@ -17,7 +17,7 @@ from typing import Any
 from koordgen.runtime.native.loader import Compiled, NotCompiled, declare
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-SOURCE = Path(__file__).with_name("courier.c")
+SOURCE = Path(__file__).with_name("socket_batch.c")
 FLAGS = (
     "-std=c99",
     "-O2",
@@ -50,8 +50,8 @@ class Shown(ctypes.Structure):
 
 def prove(found: ctypes.CDLL) -> None:
     """Declare the functions. Raises NotCompiled if the library does not fit this module."""
-    declare(found, "courier_", _FUNCTIONS)
-    if found.courier_shown_size() != ctypes.sizeof(Shown):
+    declare(found, "socket_batch_", _FUNCTIONS)
+    if found.socket_batch_shown_size() != ctypes.sizeof(Shown):
         raise NotCompiled("the compiled socket I/O has another memory layout than Python expects")
     inbox = CompiledInbox(found, [], lambda number: None)
     inbox.wait(0.0)
@@ -84,15 +84,19 @@ class CompiledInbox:
                  shares: bool = False) -> None:  # fmt: skip
         self._trouble = trouble
         self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system creates its pages on first use
-        self._state = ctypes.create_string_buffer(found.courier_inbox_size())
+        self._state = ctypes.create_string_buffer(found.socket_batch_inbox_size())
         self.shown = Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
-        self._wait, self._receive = found.courier_wait, found.courier_receive
-        self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
+        self._wait, self._receive = found.socket_batch_wait, found.socket_batch_receive
+        self._address, self._send, self._close = (
+            found.socket_batch_address,
+            found.socket_batch_send,
+            found.socket_batch_close,
+        )
         self._found: int | None = None  # number of datagrams that `wait` has found; -1: there are errors, too
         slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
         numbers = (c_int32 * len(sockets))(*[each.fileno() for each in sockets])
-        found.courier_open(self._at, slots, numbers, len(sockets), shares)
+        found.socket_batch_open(self._at, slots, numbers, len(sockets), shares)
 
     def address(self, place: int, address: Address) -> None:
         written = as_written(address)
