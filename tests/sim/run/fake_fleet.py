@@ -135,7 +135,7 @@ def beside(root: Path, text: str) -> None:
 
 
 def enlist() -> None:
-    """Make the stage know the device."""
+    """Make the scene know the device."""
     scene.DEVICES["idle"] = f"{Telling.__module__}:{Telling.__qualname__}"
 
 

@@ -41,7 +41,7 @@ class FakeRun:
             agents=agents, now=lambda: self.now, disturb=lambda medium: self._do("disturb", medium)
         )
         self.upsets = [FaultState() for _ in ROBOTS]
-        self.stage = SimpleNamespace(
+        self.scene = SimpleNamespace(
             actors=[SimpleNamespace(fault_state=fault_state) for fault_state in self.upsets],
             world=SimpleNamespace(blow=lambda wind: self._do("blow", wind), move=self._move),
         )

@@ -177,13 +177,13 @@ def room() -> Scenario:
 
 
 def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
-    stage = SimulationScene(room(), 5, KEY)
+    scene = SimulationScene(room(), 5, KEY)
     fence = Box(Point(-4.0, -4.0, -1.0), Point(4.0, 4.0, 2.0))
     peers = (Peer("alice", "127.0.0.1", 47101),)
-    body = stage.actors[0].overrides
-    feed = stage.actors[0].sensors[-1]
+    body = scene.actors[0].overrides
+    feed = scene.actors[0].sensors[-1]
     assert isinstance(feed, SimulatedFeed)
-    feed._clock = lambda: stage.world.time  # as the car's below
+    feed._clock = lambda: scene.world.time  # as the car's below
     car = Car(
         Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY, OwnTime(), Inside
     )
@@ -193,7 +193,7 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
         car.start(0.0)
         for tick in range(round(5.0 / STEP)):
             now = tick * STEP
-            truth[tick] = stage.step(now)[0].position
+            truth[tick] = scene.step(now)[0].position
             if tick % 12 == 0:
                 car.poll(now)
                 values = car.sense(now).values
@@ -204,10 +204,10 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
                 assert len(values["MotionWithScan.pscan"]) in (2, 3)
                 car.command({"MotionWithScan.path": (Point(0.0, -0.5, 0.0), Point(1.5, 0.0, 0.0))}, now)
         assert values["MotionWithScan.position"].x > 0.5, "it drives"
-        assert stage.watch.bumps == {}
+        assert scene.watch.bumps == {}
     finally:
         car.close()
-        stage.close()
+        scene.close()
     assert len(seen) == pytest.approx(25, abs=2)
     for place, (tick, scan) in seen.items():
         # It was measured at most a poll before it came, while the car went at most 5 cm.

@@ -96,7 +96,7 @@ def running(zero: float | None = None) -> Any:
     agents = [SimpleNamespace(robot=r, phase=SimpleNamespace(phase="running", detail="")) for r in HEAD.robots]
     run = SimpleNamespace(
         conduct=SimpleNamespace(now=lambda: 100.0, agents=agents), zero=zero, marks=[],
-        stage=SimpleNamespace(watch=SimpleNamespace(too_close={}, collisions={}, bumps={}, min_separation=0.3)),
+        scene=SimpleNamespace(watch=SimpleNamespace(too_close={}, collisions={}, bumps={}, min_separation=0.3)),
     )  # fmt: skip
     run.t = lambda at: None if run.zero is None else at - run.zero
     return run
@@ -151,7 +151,7 @@ def test_all_that_happened_since_round_1_is_told_with_times_since_then(
     for k in range(12):
         view.step(103.0 + k / 240, STATES)
     run.marks.append(Violation(103.5, "property", ("bert",), "x"))
-    run.stage.watch.bumps[0, 4] = 103.2
+    run.scene.watch.bumps[0, 4] = 103.2
     view.end(104.0)
     view.close("bye")
     told = [json.loads(line) for line in out.read_bytes().splitlines()]
