@@ -250,7 +250,7 @@ def test_kill_9_loses_nothing_that_was_written(kept: Kept) -> None:
     code = (
         "import sys; from pathlib import Path; from koordgen.runtime.agent.checkpoint import *; "
         "from benchmarks.fixtures.lineform import PROGRAM\n"
-        "store = Store.open(Path(sys.argv[1]), PROGRAM, 'alice', 0, 3, print)\n"
+        "store = CheckpointFile.open(Path(sys.argv[1]), PROGRAM, 'alice', 0, 3, print)\n"
         "for r in range(1, 10**9):\n"
         "    store.write(Locals(r, 0, b'\\x91\\x05', b'\\x91\\xc0', False))\n"
         "    sys.stdout.write(f'{r}\\n'); sys.stdout.flush()\n"
