@@ -1,4 +1,4 @@
-"""Write the tables of docs/sim.md that describe a trace, from the types and the comments of its schema.
+"""Write the tables of docs/reference/trace.md that describe a trace, from the types and the comments of its schema.
 
     python -m tools.trace_tables [--check]
 
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SCHEMA, PAGE = ROOT / "koordgen/runtime/trace/schema.py", ROOT / "docs/sim.md"
+SCHEMA, PAGE = ROOT / "koordgen/runtime/trace/schema.py", ROOT / "docs/reference/trace.md"
 BEGIN, END = "<!-- tables of the schema: python -m tools.trace_tables -->", "<!-- end of the tables -->"
 NAMES = {
     "str": "text", "int": "integer", "float": "number", "bool": "boolean", "Any": "JSON", "Raw": "JSON",

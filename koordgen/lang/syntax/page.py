@@ -1,5 +1,5 @@
-"""Writes docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether that is
-due.
+"""Writes docs/reference/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether
+that is due.
 
 What serves the machine alone is left out: the names of functions, the marks of inlining, and what stands for mistakes.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from koordgen.lang import resources
 from koordgen.lang.syntax.generate import GRAMMAR
 
-PAGE = Path(__file__).parents[3] / "docs" / "grammar.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "grammar.md"
 
 _HEAD = """# Koord's grammar
 
