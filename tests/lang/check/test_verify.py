@@ -26,7 +26,7 @@ from koordgen.lang.ir.types import (
 )
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.node import replace
-from koordgen.lang.source import Span
+from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 from tests.lang.check.sound import SOUND
 
