@@ -14,6 +14,7 @@ from koordgen.lang.check.statements.target import Target, check_target, check_up
 from koordgen.lang.check.types import resolve
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, NAMED, POINT, POISON, STREAM, STRING, PerRobot, Type, list_of
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
@@ -93,7 +94,8 @@ def hoist(span: Span, c: Context, out: Out) -> None:
 
 
 def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
-    """`x = q.pop()`: read, then remove. A part of a variable is written last: its index may be among what changes."""
+    """`x = q.pop()`: read, then remove. A part of a variable is written last, and so is one that the index of `pop`
+    reads: what is removed is what was read."""
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
     if update is None:
@@ -103,7 +105,7 @@ def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> N
     queue, value, rest = update
     assert value is not None
     value = fitting(value, target.read.type, c.text(node.target.span), c)
-    if target.whole and queue.whole:
+    if target.whole and queue.whole and target.read not in set(walk(rest)):
         write(target, value, False, node.span, c, out)
         write(queue, rest, True, node.span, c, out)
         return
