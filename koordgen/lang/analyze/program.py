@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from koordgen.lang.analyze.events import judge_events
 from koordgen.lang.analyze.expressions import judge
-
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.first_value import judge_first_value
-
 from koordgen.lang.analyze.statements import judge_block
 from koordgen.lang.check.sections.program import resolve
 from koordgen.lang.diagnostics import Diagnostic, in_order
