@@ -23,7 +23,12 @@ ASKED = [
     ("What does error K030 mean?", ["docs/reference/errors.md"], "Codes of programs", "| K030 |"),
     ("Has it flown on real hardware?", [MAP, "docs/explanation/real-autopilots.md"], "What was never flown", "No quad"),
     ("How many robots can a fleet have?", [MAP, "docs/explanation/shared-memory.md"], "Limits", "| 128 |"),
-    ("How do I use my own planner?", ["docs/how-to/own-planner.md"], "An example", 'planner: "own:Over"'),
+    (
+        "How do I use my own planner?",
+        ["docs/how-to/own-planner.md"],
+        "A program and a fleet that use it",
+        'planner: "own:Over"',
+    ),
 ]
 
 

@@ -25,7 +25,7 @@ each construct. A program is a sequence of sections, each beginning at the left 
 |---|---|
 | `"word"` | stands for itself |
 | `a*`, `a+`, `a?` | none or more, one or more, one or none |
-| `a` \| `b` | either |
+| `a` \\| `b` | either |
 | a `suite` of items | one on the header's line, or several on deeper lines, or both |
 | NEWLINE | ends a line outside of brackets that does not end in `\\` |
 | INDENT, DEDENT | lines begin to be deeper, and cease to be |
