@@ -84,6 +84,9 @@ def test_its_readme_names_what_is_there(name: str) -> None:
         assert (EXAMPLES / name / link).exists(), link
     for file in re.findall(r"`([a-z_]+\.(?:py|koord|yaml))`", text):
         assert (EXAMPLES / name / file).exists(), file
+    programs = "".join(path.read_text(encoding="utf-8") for path in (EXAMPLES / name).glob("*.koord"))
+    for invariant in re.findall(r"invariant\s`(\w+)`", text):
+        assert f"invariant {invariant}:" in programs, invariant
 
 
 @each
