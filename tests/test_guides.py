@@ -10,8 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
-from koordgen.build.pipeline import Rejected, check_file
+from koordgen.build.pipeline import Rejected, check_file, read_fleet
+from koordgen.cli.commands import parsed
+from koordgen.fleet import manifest
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver
 
@@ -121,6 +124,47 @@ def test_every_program_checks_without_a_word(name: str, tmp_path: Path) -> None:
             assert check_file(str(path)).noticed == (), text
         except Rejected as error:
             pytest.fail(f"{error.found}\n{text}")
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, command) of each call of koordgen in a listing, in one line and without `...`."""
+    found = []
+    for path in sorted(DOCS.rglob("*.md")):
+        for listing in re.findall(r"^```.*?\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+            for line in listing.splitlines():
+                line = re.sub(r"^(\$|[a-z]+[$@][a-z$]*) ", "", line).partition("; echo")[0]
+                if (
+                    path.parent.name != "adr"
+                    and line.startswith("koordgen ")
+                    and not re.search(r"\.\.\.|\\$|[<>]", line)
+                ):
+                    found.append((path.relative_to(DOCS).as_posix(), line))
+    return found
+
+
+@pytest.mark.parametrize(("page", "command"), [pair for pair in commands() if "duraton" not in pair[1]])
+def test_every_command_of_a_page_can_be_called_so(page: str, command: str) -> None:
+    parsed(shlex.split(command, comments=True)[1:])
+
+
+@pytest.mark.parametrize("name", sorted({*HOW_TO} - {*FOLLOWED}))
+def test_every_piece_of_a_fleet_file_fits_into_one(name: str, tmp_path: Path) -> None:
+    """Each listing of YAML, in place of the same keys of the tutorial's fleet file."""
+    (whole,) = [text for kind, file, text in steps(TUTORIAL) if (kind, file) == ("save", "fleet.yaml")]
+    program = tmp_path / "p.koord"
+    program.write_text(
+        "param float margin = 0.5\nparam Point dock = Point(0, 0, 0)\n"
+        "using Lamp:\n  actuators: bool on\nGo:\n  pre: True\n  eff: Lamp.on = True\n"
+    )
+    targets = {target: manifest.load(target) for target in manifest.available()}
+    page = (DOCS / name).read_text(encoding="utf-8")
+    for own in re.findall(r"^```yaml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL):
+        path = tmp_path / "fleet.yaml"
+        path.write_text(yaml.safe_dump({**yaml.safe_load(whole), **yaml.safe_load(own)}))
+        try:
+            read_fleet(str(path), targets, check_file(str(program)).program)
+        except Rejected as error:
+            pytest.fail(f"{error.found}\n{own}")
 
 
 def test_every_verdict_of_the_page_about_invariants_is_the_provers(tmp_path: Path) -> None:
