@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,7 +55,7 @@ def _table(node: ast.ClassDef, heads: dict[str, str], lines: list[str]) -> str:
     title = name.capitalize() if "header" in name else f"Record `{name}`" if is_record else f"Value: {name}"
     rows = [f"### {title}", ""]
     rows += [
-        " ".join((ast.get_docstring(node) or "").split()),
+        *textwrap.wrap(" ".join((ast.get_docstring(node) or "").split()), 100, break_on_hyphens=False),
         "",
         "| key | type | unit | meaning |",
         "|---|---|---|---|",

@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "reference" / "grammar.md"
 
 _HEAD = """# Koord's grammar
 
-Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) explains
+Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language](language.md) explains
 each construct. A program is a sequence of sections, each beginning at the left margin.
 
 | sign | meaning |
