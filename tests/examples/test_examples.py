@@ -101,7 +101,7 @@ def test_the_page_shows_pictures_that_are_there() -> None:
 
 
 SECONDS = {
-    "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hello": 10,
+    "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hello": 15,
     "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "task": 120,
 }  # fmt: skip
 ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "rendezvous", "task"}
