@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from koordgen.lang.check.sections.params import Value
+    from koordgen.lang.analyze.params import Value
     from koordgen.lang.ir.decl import Program
     from koordgen.lang.ir.expr import Expr
     from koordgen.lang.source import Source
@@ -115,7 +115,7 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
     """The params that have a value, as constants; the others may have any. Raises Failure."""
     if not given:
         return {}
-    from koordgen.lang.check.sections.params import BadParam, with_params
+    from koordgen.lang.analyze.params import BadParam, with_params
 
     try:
         return {p.name: p.default for p in with_params(program, given).params if p.name in given}
@@ -165,7 +165,7 @@ def files(
 
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[Verdict]]) -> str:
     """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
-    from koordgen.lang.check.sections.params import BadParam, as_given, with_params
+    from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
     from koordgen.verify.prove.report.trace import About, trace

@@ -2,10 +2,10 @@
 
 A robot's own pose, measured and sent by a base station (motion capture, or the simulator).
 
-One sealed MessagePack datagram per sample; see `Sample` for its fields and docs/feeds.md for the bytes. Sequence
-numbers only grow within a session (one run of the base station), so an old sample never passes for a new one. The
-transit time of a sample is compared with the shortest one of its session, so a growing delay is detected, however slow.
-A delay common to all samples of a session cannot be detected."""
+One sealed MessagePack datagram per sample; see `Sample` for its fields and docs/reference/wire.md for the bytes.
+Sequence numbers only grow within a session (one run of the base station), so an old sample never passes for a new one.
+The transit time of a sample is compared with the shortest one of its session, so a growing delay is detected, however
+slow. A delay common to all samples of a session cannot be detected."""
 
 from __future__ import annotations
 

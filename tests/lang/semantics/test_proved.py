@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.semantics import exec
@@ -27,7 +27,7 @@ from tests.agree.kinds import random_value
 from tests.lang.test_lang import CASES
 
 ROOT = Path(__file__).parents[3]
-PAGES = [ROOT / "docs/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
+PAGES = [ROOT / "docs/reference/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
 
 
 def texts() -> Iterator[tuple[str, str]]:

@@ -1,0 +1,292 @@
+"""Induction over the turns of a loop: conditions that hold where it begins, and that each turn keeps.
+
+Candidates are the program's loop invariants, and bounds that nobody has to write down: a variable stays above (or
+below) the value that it begins with, and within the bound that the condition of `while` sets. A candidate that is not
+shown for each way through the block is dropped, and the others are tried again without it. What is left is known in
+the loop, and behind it as far as it holds where `break` leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, assert_never
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import unsat
+from koordgen.lang.analyze.facts.flow import independent, names_of, variable_of
+from koordgen.lang.analyze.facts.linear import Formula, Linear
+from koordgen.lang.analyze.facts.terms import Flow, formula, learned, term
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import statements
+from koordgen.lang.ir.types import INT
+
+MOST_WAYS = 16  # through a loop's block
+MOST_COUNTERS = 4  # variables of one loop whose bounds are looked for
+
+Candidate = Callable[[Flow], Formula]  # what is known at a point -> the condition there
+Step = Callable[[Flow], Flow]
+
+
+class Turns(NamedTuple):
+    """A loop. `before` is known where it begins, `start` at its head, in terms of what it does not change (the lengths
+    of `sized` stay, too). Of a loop that counts, `first`, `next` and `last` put the value into its variable with which
+    the loop begins, goes on behind a turn, and ends; `counter` is that variable, and `stop` the first value that it
+    does not take, where it counts up. `enter`: a turn begins; `leave`: the loop ends by itself."""
+
+    before: Flow
+    start: Flow
+    changed: frozenset[str]
+    sized: frozenset[str]
+    block: stmt.Block
+    enter: Step
+    leave: Step
+    first: Step
+    next: Step
+    last: Step
+    counter: str = ""
+    stop: Linear | None = None
+
+
+class Kept(NamedTuple):
+    """Conditions that hold at the head of each turn, and those of them that also hold behind the loop."""
+
+    inside: tuple[Candidate, ...]
+    behind: tuple[Candidate, ...]
+
+
+class _Ways:
+    """Ends of a turn, and exits by `break`, each with the facts known there."""
+
+    def __init__(self) -> None:
+        self.turned: list[Flow] = []
+        self.broken: list[Flow] = []
+
+
+class _TooMany(Exception):
+    """The block has more ways through it than are looked at."""
+
+
+def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
+    """Return the candidates that hold at the loop's head at all times. Sound: each of them is shown where the loop
+    begins, and at the end of each way through the block, given that all of them hold at its head."""
+    begins = turns.first(turns.before)
+    found = [candidate for candidate in candidates if _shown(candidate, begins)]
+    while found:
+        ways = _Ways()
+        flow = turns.enter(knowing(turns.start, found))
+        try:
+            ways.turned += _follow(turns.block, [flow], ways)
+        except _TooMany:
+            break
+        ends = [turns.next(end) for end in ways.turned]
+        left = [candidate for candidate in found if all(_shown(candidate, end) for end in ends)]
+        if len(left) == len(found):
+            return Kept(tuple(found), tuple([c for c in found if _holds_behind(c, turns, ways.broken)]))
+        found = left
+    return Kept((), ())
+
+
+def _holds_behind(candidate: Candidate, turns: Turns, broken: list[Flow]) -> bool:
+    """Return whether a condition that holds at the loop's head also holds at each `break`."""
+    if turns.counter in names_of(candidate(turns.start)):
+        broken = [turns.last(end) for end in broken]
+    return all(_shown(candidate, end) for end in broken)
+
+
+def behind(turns: Turns, found: Kept) -> Flow:
+    """Return the facts known behind a loop."""
+    return turns.leave(knowing(turns.last(turns.start), found.behind))
+
+
+def knowing(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
+    """Return the facts known at a point where the candidates hold, too."""
+    known = flow
+    for candidate in candidates:
+        known = known.knowing(candidate(flow))
+    return known
+
+
+def _shown(candidate: Candidate, flow: Flow) -> bool:
+    condition = candidate(flow)
+    if condition is linear.UNKNOWN:
+        return False
+    return unsat((*flow.relevant(names_of(condition)), linear.negate(condition)))
+
+
+def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
+    """Return the facts known at the end of a block, on each way to it. Raises _TooMany."""
+    for statement in block:
+        match statement:
+            case stmt.Assign(place, value):
+                flows = [learned(flow, place, value) for flow in flows]
+            case stmt.Let(name, _, value):
+                flows = [learned(flow, stmt.TempPlace(name), value) for flow in flows]
+            case stmt.If(condition, then, orelse):
+                held = [(flow, formula(condition, flow)) for flow in flows]
+                yes = _follow(then, [flow.knowing(known) for flow, known in held], ways)
+                no = _follow(orelse, [flow.knowing(linear.negate(known)) for flow, known in held], ways)
+                flows = yes + no
+            case stmt.For() | stmt.While():
+                flows = [_around(statement, flow) for flow in flows]
+            case stmt.Break():
+                ways.broken += flows
+                return []
+            case stmt.Continue():
+                ways.turned += flows
+                return []
+            case stmt.Return() | stmt.Stop():
+                return []
+            case stmt.Emit():
+                pass
+            case _:
+                assert_never(statement)
+        if len(flows) + len(ways.turned) + len(ways.broken) > MOST_WAYS:
+            raise _TooMany
+    return flows
+
+
+def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
+    """Return the facts known behind a loop within the block: those about variables that it may write are dropped."""
+    changed = {name for name, _ in writes(loop.block)}
+    sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
+    if isinstance(loop, stmt.For):
+        changed.update(f"temp {name}" for name in loop.names)
+    return flow.forgetting(frozenset(changed), frozenset(sized))
+
+
+def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
+    """Yield the variables that a block may write, by their names in a Flow, and whether a write leaves the length as it
+    was."""
+    for statement in statements(block):
+        match statement:
+            case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
+                yield variable_of(place) or "", True
+            case stmt.Assign(place):
+                yield variable_of(place) or "", False
+            case stmt.Let(name):
+                yield f"temp {name}", False
+            case _:
+                pass
+
+
+# Candidates
+
+
+def written_down(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
+    """The program's loop invariants, each condition that `and` joins by itself."""
+    return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
+
+
+def conjuncts(node: ir.Expr) -> list[ir.Expr]:
+    """Return what a condition joins by `and`."""
+    if isinstance(node, ir.Logic) and node.op == "and":
+        return conjuncts(node.left) + conjuncts(node.right)
+    return [node]
+
+
+def _holds(node: ir.Expr) -> Candidate:
+    return lambda flow: formula(node, flow)
+
+
+def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
+    """Bounds of the ints that a loop writes: what they begin with, the condition of `while`, the loop's variable."""
+    reads = dict.fromkeys(_counted(turns.block))
+    found: list[Candidate] = []
+    for read in list(reads)[:MOST_COUNTERS]:
+        begin = turns.before.value(variable_of(read) or "")
+        if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
+            found += [_at_least(read, begin), _at_most(read, begin)]
+        found += _known(read, turns)
+        if turns.stop is not None:  # where an element was found: behind, or at, where the loop has come to
+            here = linear.variable(turns.counter)
+            found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
+            found.append(_at_most(read, linear.combine(turns.stop, linear.constant(-1))))
+    for part in conjuncts(condition) if condition is not None else ():
+        match part:
+            case ir.Compare("<" | "<=" | "!=" as op, left, right) if left in reads:
+                found += _within(left, right, int(op == "<="), 1, turns)
+            case ir.Compare(">" | ">=" | "!=" as op, left, right) if left in reads:
+                found += _within(left, right, int(op == ">="), -1, turns)
+        match part:
+            case ir.Compare(">" | ">=" | "!=" as op, left, right) if right in reads:
+                found += _within(right, left, int(op == ">="), 1, turns)
+            case ir.Compare("<" | "<=" | "!=" as op, left, right) if right in reads:
+                found += _within(right, left, int(op == "<="), -1, turns)
+    return found
+
+
+def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
+    """The reads of the ints that a block writes."""
+    for statement in statements(block):
+        match statement:
+            case stmt.Assign(stmt.TempPlace(name), value, span) if value.type is INT:
+                yield ir.TempRead(name, INT, span)
+            case stmt.Assign(stmt.LocalPlace(name), value, span) if value.type is INT:
+                yield ir.LocalRead(name, INT, span)
+            case stmt.Assign(stmt.SharedPlace(name), value, span) if value.type is INT:
+                yield ir.SharedRead(name, INT, span)
+            case _:
+                pass
+
+
+def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
+    """The comparisons of a variable that are known where the loop begins."""
+    name = variable_of(read)
+    for fact in turns.before.facts:
+        for part in fact.parts if isinstance(fact, linear.And) else (fact,):
+            if isinstance(part, linear.AtLeastZero) and isinstance(name, str):
+                rest = linear.substitute(part.linear, name, linear.constant(0))
+                if rest != part.linear and independent(rest, turns.changed, turns.sized):
+                    yield _compared(read, name, part.linear)
+
+
+def _compared(read: ir.Expr, name: str, known: Linear) -> Candidate:
+    return lambda flow: linear.AtLeastZero(linear.substitute(known, name, _term(read, flow)))
+
+
+def _at_least(read: ir.Expr, bound: Linear) -> Candidate:
+    return lambda flow: linear.at_least(_term(read, flow), _now(bound, flow))
+
+
+def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
+    return lambda flow: linear.at_least(_now(bound, flow), _term(read, flow))
+
+
+def _now(bound: Linear, flow: Flow) -> Linear:
+    """Return a bound at a point, with the value of each variable whose value is known there."""
+    for var, _ in bound.terms:
+        known = flow.value(var) if isinstance(var, str) else None
+        if isinstance(var, str) and isinstance(known, Linear):
+            bound = linear.substitute(bound, var, known)
+    return bound
+
+
+def _term(read: ir.Expr, flow: Flow) -> Linear:
+    found = term(read, flow)
+    assert found is not None, "an int variable is a term"
+    return found
+
+
+def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns) -> list[Candidate]:
+    """sign * read <= sign * bound + beyond; or, where the loop may begin past that, as far as where it begins."""
+
+    def within(flow: Flow) -> Formula:
+        end = term(bound, flow)
+        if end is None:
+            return linear.UNKNOWN
+        rest = linear.combine(end, _term(read, flow), -1)
+        return linear.AtLeastZero(linear.combine(linear.constant(beyond), rest, sign))
+
+    begin = turns.before.value(variable_of(read) or "")
+    if not isinstance(begin, Linear) or not independent(begin, turns.changed, turns.sized):
+        return [within]
+    if _shown(within, turns.before):
+        return [within]
+    least = _at_most(read, begin) if sign > 0 else _at_least(read, begin)
+
+    def either(flow: Flow) -> Formula:
+        known = within(flow)
+        return known if known is linear.UNKNOWN else linear.Or((known, least(flow)))
+
+    return [either]

@@ -1,0 +1,137 @@
+"""Points of an event, and the conditions passed on the way. What is known at a point is worked out when someone asks:
+at most points nobody does, and to find it is most of what a check would cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Set as AbstractSet
+from typing import Any
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.linear import Formula
+from koordgen.lang.analyze.facts.terms import Flow, formula, learned
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir import stmt
+
+
+class Path:
+    """A point that is reached from others by a step."""
+
+    __slots__ = ("_before", "_flow", "_step")
+
+    def __init__(self, before: tuple[Path, ...] = (), step: Callable[..., Flow] = Flow) -> None:
+        self._before = before
+        self._step = step  # what is known before -> what is known here
+        self._flow: Flow | None = None
+
+    @property
+    def flow(self) -> Flow:
+        """What is known here."""
+        if self._flow is None:
+            self._work_out()
+        assert self._flow is not None
+        return self._flow
+
+    def _work_out(self) -> None:
+        """Not by recursion: an event may be longer than Python's stack."""
+        pending = [self]
+        while pending:
+            path = pending[-1]
+            missing = [p for p in path._before if p._flow is None]
+            pending.extend(missing)
+            if not missing:
+                pending.pop()
+                if path._flow is None:
+                    path._flow = path._step(*[p._flow for p in path._before])
+                    path._before, path._step = (), Flow
+
+    def passing(self, condition: Condition) -> Path:
+        """Where the condition, judged here, holds."""
+        return Path((self,), lambda flow: flow.knowing(condition.formula))
+
+    def failing(self, condition: Condition) -> Path:
+        """Where it does not hold."""
+        return Path((self,), lambda flow: flow.knowing(linear.negate(condition.formula)))
+
+    def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
+        """After `place = value`."""
+        return Path((self,), lambda flow: learned(flow, place, value))
+
+
+class Condition:
+    """A condition of the program, typed, judged at a point."""
+
+    __slots__ = ("_formula", "_path", "node")
+
+    def __init__(self, node: ir.Expr, path: Path) -> None:
+        self.node = node
+        self._path = path
+        self._formula: Formula | None = None
+
+    @property
+    def formula(self) -> Formula:
+        """One and the same object whenever it is asked for."""
+        if self._formula is None:
+            self._formula = formula(self.node, self._path.flow)
+        return self._formula
+
+
+def known(flow: Flow) -> Path:
+    """A point where this is known."""
+    path = Path()
+    path._flow = flow
+    return path
+
+
+def joined(ends: list[Path | None]) -> Path | None:
+    """Where several ways meet; None: no run gets to the end of any."""
+    reached = tuple(dict.fromkeys([end for end in ends if end is not None]))
+    return Path(reached, _join) if len(reached) > 1 else reached[0] if reached else None
+
+
+def _join(*flows: Any) -> Flow:
+    result: Flow = flows[0]
+    for flow in flows[1:]:
+        result = result.joined(flow)
+    return result
+
+
+# Conditions that need no judgement
+
+
+def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
+    """Return whether both a condition and its opposite are sure to be possible: the condition compares literal numbers
+    with variables that are not `mentioned` before it, so nothing is known of them, and names each variable once. False:
+    the condition is to be judged."""
+    names: list[str] = []
+    return _free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
+
+
+def _free(node: ir.Expr, names: list[str]) -> bool:
+    """Return whether a condition is of that form. Add its variables to `names`."""
+    kind = type(node)
+    if kind is ir.Logic:
+        return _free(node.left, names) and _free(node.right, names)  # type: ignore[union-attr]
+    if kind is ir.Unary:
+        return _free(node.operand, names)  # type: ignore[union-attr]
+    if kind is ir.Compare:
+        left, right = node.left, node.right  # type: ignore[union-attr]
+        if type(left) is ir.Pid and type(right) is ir.Const:
+            # The fleet may be of any size: every index is someone's, and of each but 0 there is a lower one.
+            names.append("pid")
+            return right.value >= (1 if node.op in ("<", ">=") else 0)  # type: ignore[union-attr, operator]
+        node = left.operand if type(left) is ir.Widen else left
+        kind = type(node) if _is_number(right) else None  # type: ignore[assignment]
+    if kind is ir.LocalRead or kind is ir.SharedRead:
+        names.append(node.name)  # type: ignore[union-attr]
+        return True
+    return False
+
+
+def _is_number(node: ir.Expr) -> bool:
+    kind = type(node)
+    if kind is ir.Const:
+        return type(node.value) is not str  # type: ignore[union-attr]
+    if kind is ir.Widen:
+        return _is_number(node.operand)  # type: ignore[union-attr]
+    return kind is ir.Binary and node.op in ("+", "-", "*") and _is_number(node.left) and _is_number(node.right)  # type: ignore[union-attr]

@@ -1,0 +1,113 @@
+"""The runs of a counted loop that are sure to come: its first and its last, and what its block does in each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.flow import independent, variable_of
+from koordgen.lang.analyze.facts.linear import Formula, Linear
+from koordgen.lang.analyze.facts.terms import Flow, term
+from koordgen.lang.ir import draft, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import children, walk
+from koordgen.lang.node import Node
+from koordgen.lang.source import Span
+
+
+class Loop(NamedTuple):
+    """A `for` whose block is being judged. `name`: its variable as the program calls it, `temp`: in a Flow. `before` is
+    known where it begins. `changed` are the variables around it
+    that its block may change; of those in `sized` the lengths stay."""
+
+    name: str
+    temp: str
+    values: ir.Expr
+    before: Flow
+    changed: frozenset[str]
+    sized: frozenset[str]
+    block: stmt.Block
+
+
+class Runs(NamedTuple):
+    """Runs of a loop: the values of its variable in them, and what is known where the loop begins if it runs at all."""
+
+    values: tuple[Linear, ...]
+    flow: Flow
+
+
+def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
+    """Return the last run and the first, if every run evaluates the expression at `span`; None if `terms`, as they are
+    known there, may depend on what earlier runs changed."""
+    ends = _ends(loop)
+    if (
+        ends is None
+        or not all(independent(item, loop.changed, loop.sized) for item in terms)
+        or any(_may_skip(node, loop) for node in walk(loop.block))
+        or not _in_block(loop.block, span)
+    ):
+        return None
+    first, last, some = ends
+    return Runs((first,) if last is None else (last, first), loop.before.knowing(some))
+
+
+def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
+    """Return the variable's first and last value, and that there is one; None where that is not known."""
+    match loop.values:
+        case ir.Ids():
+            size = linear.variable(linear.N_SYS)
+            return linear.constant(0), linear.combine(size, linear.constant(-1)), linear.TRUE
+        case ir.Range(start, stop, step):
+            first, end = term(start, loop.before), term(stop, loop.before)
+            if first is None or end is None:
+                return None
+            last = linear.combine(end, linear.constant(-step)) if abs(step) == 1 else None
+            return first, last, linear.less(first, end) if step > 0 else linear.less(end, first)
+        case _:
+            return None
+
+
+_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.Unread)
+
+
+def _may_skip(node: Node, loop: Loop) -> bool:
+    """Return whether a statement may end a run early, or changes the variable of the loop."""
+    return isinstance(node, _LEAVING) or (isinstance(node, stmt.Assign) and variable_of(node.place) == loop.temp)
+
+
+def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
+    """Return whether each run of a block evaluates what stands there."""
+    for statement in block:
+        parts: tuple[ir.Expr, ...]
+        match statement:
+            case stmt.Assign(draft.SlotPlace(_, index), value):
+                parts = (index, value)
+            case stmt.Assign(_, value) | stmt.Let(value=value):
+                parts = (value,)
+            case stmt.If(condition):
+                parts = (condition,)
+            case stmt.For(values=values):
+                parts = (values,)
+            case stmt.Emit(items=items) | draft.Wrong(items):
+                parts = items
+            case _:
+                continue
+        if any(_in_expression(part, span) for part in parts):
+            return True
+    return False
+
+
+def _in_expression(root: ir.Expr, span: Span) -> bool:
+    """Return whether an expression always evaluates what stands there: no `and`, `or`, `if` or quantifier decides about
+    it."""
+    pending: list[Node] = [root]
+    while pending:
+        match pending.pop():
+            case ir.Logic(left=first) | ir.Conditional(condition=first) | ir.Quantified(domain=first):
+                pending.append(first)
+            case node:
+                if node.span is span:  # type: ignore[attr-defined]
+                    return True
+                pending.extend(children(node))
+    return False

@@ -1,0 +1,99 @@
+"""K041, beside K041 and K042 of other rules: events that wait for a bool that only waiting events set never run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.findings import Findings
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import statements
+from koordgen.lang.ir.types import BOOL
+
+Starts = Mapping[str, object]  # local bools, with the values that they start with
+
+
+def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings: Findings) -> None:
+    """Warn of each event whose guard asks for a local bool to be other than it starts, when only such events would
+    make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text. `is_whole` returns
+    whether all of the text could be read."""
+    starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
+    events = program.events
+    asked = [_asked(event.guard, starts) for event in events]
+    if not any(asked) or findings.has_errors():
+        return
+    stuck = _stuck(asked, program.init, events, starts)
+    if not stuck or not is_whole():
+        return
+    makers: dict[str, list[str]] = {flag: [] for flag in stuck}
+    for event in events:
+        for flag in _turned(event.effect, starts) & stuck:
+            makers[flag].append(event.name)
+    told = {(d.span.line, d.span.column) for d in findings.found if d.code in ("K041", "K042")}
+    spans = {v.name: v.span for v in program.locals}
+    for event, flags in zip(events, asked, strict=True):
+        own = min(flags & stuck, default=None)
+        if own is None or not told.isdisjoint((s.line, s.column) for s in (event.span, event.guard.span)):
+            continue
+        who = f"only {makers[own][0]} makes" if len(makers[own]) == 1 else "only events that can never run make"
+        old, new = starts[own], not starts[own]
+        message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
+        help = f"let init or another event make it {new}, or ask for '{own if old else f'not {own}'}'"
+        findings.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
+
+
+def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
+    """Return the bools that must be other than they start for a guard to hold: those that it joins by `and`."""
+    found: set[str] = set()
+    pending = [guard]
+    while pending:
+        node, start = pending.pop(), False
+        if type(node) is ir.Logic and node.op == "and":
+            pending += (node.left, node.right)
+        elif type(node) is ir.Unary and node.op == "not":
+            node, start = node.operand, True
+        if type(node) is ir.LocalRead and starts.get(node.name) is start:
+            found.add(node.name)
+    return found
+
+
+def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts) -> set[str]:
+    """Return the bools that keep what they start with: the most for which that is consistent."""
+    waiting: dict[str, list[int]] = {}
+    for position, flags in enumerate(asked):
+        for flag in flags:
+            waiting.setdefault(flag, []).append(position)
+    missing = [len(flags) for flags in asked]
+    pending = [position for position, count in enumerate(missing) if not count]
+
+    def turn(flags: set[str]) -> None:
+        for flag in flags & waiting.keys():
+            for position in waiting.pop(flag):
+                missing[position] -= 1
+                if not missing[position]:
+                    pending.append(position)
+
+    def run() -> None:
+        while pending and waiting:
+            turn(_turned(events[pending.pop()].effect, starts))
+
+    turn(_turned(init, starts))
+    run()
+    if waiting:
+        turn(waiting.keys() - set[str]().union(*(_turned(event.effect, starts) for event in events)))
+        run()
+    return set(waiting)
+
+
+def _turned(block: stmt.Block, starts: Starts) -> set[str]:
+    """Return the bools that a block may make other than they start."""
+    found: set[str] = set()
+    for statement in statements(block):
+        match statement:
+            case stmt.Assign(stmt.LocalPlace(name), value):
+                if name in starts and not (type(value) is ir.Const and value.value is starts[name]):
+                    found.add(name)
+            case _:
+                pass
+    return found
