@@ -88,7 +88,7 @@ class SimpleMotion(Motion):
 
 
 def turning(yaw: float | None, wanted: float | None) -> float:
-    """The yaw rate towards a heading."""
+    """Return the yaw rate towards a heading."""
     if yaw is None or wanted is None:
         return 0.0
     off = (wanted - yaw + math.pi) % math.tau - math.pi
