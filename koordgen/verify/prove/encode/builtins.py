@@ -1,4 +1,4 @@
-"""Builtins as terms: exact where the logic has them; else functions of which a few true things are told."""
+"""Builtins as terms: exact if the logic has them, else uninterpreted functions with some facts about them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LISTS = ("sorted", "reversed", "keys", "values", "items", "union", "intersectio
 
 
 def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """A builtin of evaluated arguments."""
+    """Return a builtin applied to evaluated arguments."""
     name, line = node.name, node.span.line
     if name in _MADE:
         return args
@@ -77,7 +77,7 @@ def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
 
 
 def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """# SOUND: a function of which nothing is told but that equal arguments give equal results."""
+    """# SOUND: an uninterpreted function. Nothing is assumed of it but that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
         x, one = truth(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
@@ -109,7 +109,7 @@ def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
 
 
 def _clear(e: ExprEncoder, args: tuple[Val, ...]) -> Val:
-    """Whether a path keeps more than eps metres away from each of several."""
+    """Return whether a path keeps more than eps metres away from each of several other paths."""
     path, others, eps = path_of(args[0]), path_of(args[1]), truth(args[2])
 
     def far(other: Val) -> Term:
@@ -130,7 +130,7 @@ def _whole(name: str, x: Term) -> Term:
         return t.to_int(x)
     if name == "ceil":
         return t.negate(t.to_int(t.negate(x)))
-    below = t.to_int(x)  # halves go to the even neighbour, as in Python
+    below = t.to_int(x)  # halves are rounded to the even neighbour, as in Python
     part = t.subtract(x, t.to_real(below))
     half = t.real(0.5)
     even = t.equals(t.remainder(below, t.integer(2)), _ZERO)
@@ -172,15 +172,15 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     return pick(held, e.lists.value(xs, key), args[2])
 
 
-# Sums over what all robots have: of a fleet where one robot's changed, the sum without the old, with the new.
+# Sums over all robots. If one robot's value changed, the sum is the old sum minus the old value plus the new one.
 
 
 def folded(
     e: ExprEncoder, xs: Fleet, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
 ) -> Term:
-    """The sum of `part` over all robots. For any number of robots it is a function of the fleet, and this is told of
-    it: it is zero where all parts are, not negative where none is, at most N_SYS where none is above one, at least
-    that where none is below; a count is that of the other robots, and this one."""
+    """Return the sum of `part` over all robots. For any number of robots it is a function of the fleet with these
+    facts: it is zero if all parts are zero, not negative if no part is, at most N_SYS if no part is above one, at least
+    N_SYS if no part is below one. A count is that of the other robots plus this robot's."""
     room = e.room
     found: Term = zero
     if room.robots is not None:

@@ -1,4 +1,4 @@
-"""Interfaces of the expression encoder: what names mean at one place, and the encoder as its parts see it."""
+"""Interfaces of the expression encoder: the scope of names, and the encoder as its parts see it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class Scope(Protocol):
-    """What a name means at one place."""
+    """Values of names at one place of the program."""
 
     pid: Term
     temps: dict[str, Val]
@@ -30,8 +30,8 @@ class Scope(Protocol):
 
 
 class ExprEncoder(Protocol):
-    """The encoder of expressions as builtins, sums and quantifiers call it. `strict`: whether a quantifier is to be
-    shown to have a value."""
+    """Encoder of expressions, as builtins, sums and quantifiers call it. `strict`: a quantifier demands that its
+    instances have values."""
 
     room: Room
     lists: Lists

@@ -1,4 +1,4 @@
-"""Expressions as terms. What an expression reads is its scope's; what must hold for it to have a value, a demand."""
+"""Expressions as terms. Reads go through the scope. Conditions under which an expression has a value are demands."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE, _HALF = t.integer(0), t.integer(1), t.real(0.5)
-_EXPANDED = 8  # a list of at most so many elements is gone through by its places
+_EXPANDED = 8  # longest list whose elements are enumerated by their places
 
 
 Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
 
 
 class Encoder:
-    """Encodes expressions of one room. `call` applies a `fun`, an extern function or a spec function."""
+    """Encoder of expressions in one context. `call` applies a `fun`, an extern function or a spec function."""
 
     def __init__(
         self, room: Room, params: dict[str, Val], call: Callable[[str, tuple[Val, ...], ir.Expr], Val]
@@ -34,9 +34,9 @@ class Encoder:
         self.room, self.params, self.call = room, params, call
         self.lists = Lists(room)
         self.geometry = Geometry(room, self.lists)
-        # What was called on what: where axioms about all values are looked at.
+        # Function -> arguments of its calls: axioms about all values are instantiated at these.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
-        # Whether a quantifier is to be shown to have a value; of what is assumed that is known.
+        # Whether a quantifier demands that its instances have values. In assumed formulas it does not: they have.
         self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
@@ -48,14 +48,14 @@ class Encoder:
         return truth(self.value(node, scope))
 
     def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val:
-        """A call of what is known by contracts and axioms alone: a function of its arguments."""
+        """Encode a call that only contracts and axioms constrain: a function of its arguments."""
         leaves = tuple([leaf for arg in args for leaf in self.lists.leaves(arg)])
         if (name, leaves) not in self.called_on:
             self.called_on.add((name, leaves))
             self.calls.setdefault(name, []).append(args)
         return self.room.function(symbol, leaves, type_)
 
-    # What is read
+    # Reads
 
     def const(self, node: ir.Const, scope: Scope) -> Val:
         if isinstance(node.value, bool):
@@ -67,7 +67,7 @@ class Encoder:
         return self.text(node.value, node.type)
 
     def text(self, text: str, type_: Type) -> Val:
-        """Texts are constants; two literals differ."""
+        """Encode a text as a constant that differs from those of all other literals."""
         texts = self.room.texts
         if text not in texts:
             shown = "".join([c if c.isalnum() else "_" for c in text if c.isascii()])
@@ -120,7 +120,7 @@ class Encoder:
             self.room.robot(index)
         return index
 
-    # What is computed
+    # Operators
 
     def widen(self, node: ir.Widen, scope: Scope) -> Val:
         return t.to_real(self.term(node.operand, scope))
@@ -162,9 +162,9 @@ class Encoder:
                 return _number(node.op, truth(left), truth(right))
 
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
-        """Quotient and remainder by what is no literal: functions, of which what goes once around a ring needs is
-        told."""
-        self.room.note("// and % by what is no number: exact below twice the divisor; beyond that the bounds alone")
+        """Encode quotient and remainder by a divisor that is no literal as functions. SOUND: the facts about them are
+        exact for dividends below twice the divisor, as steps around a ring need; beyond, only the bounds are known."""
+        self.room.note("// and % by what is no literal: exact below twice the divisor; beyond that only the bounds")
         quotient, rest = (t.apply(t.Function(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
         positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
         once = t.and_(positive, t.at_most(_ZERO, a), t.less(a, b))
@@ -206,6 +206,7 @@ class Encoder:
                 return t.at_most(b, a)
 
     def contains(self, node: ir.Contains, scope: Scope) -> Val:
+        """Return whether a Rect, Ball, string, fleet or collection contains an item."""
         item, held = self.value(node.item, scope), self.value(node.values, scope)
         match str(node.values.type):
             case "Rect":
@@ -310,14 +311,14 @@ class Encoder:
         return builtin(self, node, tuple([self.value(arg, scope) for arg in node.args]))
 
     def defined(self, node: ir.Expr, scope: Scope) -> Term:
-        """That a formula has a value, and that it is true."""
+        """Return that a formula has a value and is true."""
         return t.and_(*self.parts(node, scope))
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
-        """Return two terms: that a formula has a value, and that it is true if it has one."""
+        """Return two terms: the formula has a value, and it is true if it has one."""
         room = self.room
         kept = room.path, room.demands
-        room.path, room.demands = (), []  # as `outermost` and `aside` do; this runs for each instance of a formula
+        room.path, room.demands = (), []  # as the context managers do, inlined since each instance comes here
         try:
             formula = self.term(node, scope)
             return t.all_of([demand.term for demand in room.demands]), formula
@@ -326,7 +327,7 @@ class Encoder:
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:
-    """x is between a and b, whichever is less."""
+    """Return that x is between a and b, whichever of them is less."""
     return t.or_(t.and_(t.at_most(a, x), t.at_most(x, b)), t.and_(t.at_most(b, x), t.at_most(x, a)))
 
 

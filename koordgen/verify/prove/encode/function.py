@@ -1,4 +1,4 @@
-"""Functions: `fun`s are run on symbols, extern functions known by their contracts, spec functions by axioms."""
+"""Functions: `fun`s are executed symbolically; extern functions have contracts, spec functions have axioms."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class Functions:
-    """The functions of a program in one room. `know` is told the head of each loop that is cut. `brief`: of what such
-    loops leave behind nothing is told, which most proofs do not need."""
+    """Functions of a program in one context. `know` receives the head of each loop that is cut. `brief`: add no facts
+    about what such loops leave behind, since most proofs need none."""
 
     def __init__(self, room: Room, params: dict[str, Val], know: Callable[[Head], None], brief: bool) -> None:
         program = room.program
@@ -38,8 +38,8 @@ class Functions:
         return self.encoder.apply(name, symbol(name), args, node.type)
 
     def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
-        """The result of a call; that its operations have values is demanded where the call is made. Calls with the same
-        arguments are one run. SOUND: a run that calls no extern function says nothing of the place of the call."""
+        """Return the result of a call. Its demands are made at each call. Calls with equal arguments share one
+        symbolic execution. SOUND: a run that calls no extern function adds no facts that depend on the call's place."""
         if not self.is_closed(function):
             return self.result(function, args)
         room, key = self.room, (function.name, *map(_identity, args))
@@ -69,16 +69,16 @@ class Functions:
             found = left.value if found is None else pick(t.all_of(left.path[depth:]), left.value, found)
         if not frame.heads and found is not None:
             return found
-        # SOUND: of a loop that is cut only the facts at its head are known. What the function yields is one value for
-        # equal arguments, and one of those that the facts allow.
-        self.room.note(f"{function.name}: of what its loops write only invariants and facts about turns are known")
+        # SOUND (over-approximation): only the facts at its head are known of a loop that is cut. The result is one
+        # value for equal arguments, any of those that the facts allow.
+        self.room.note(f"{function.name}: only the invariants and facts about turns are known of what its loops write")
         result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
         if found is not None and not self.brief:
             self.room.given(self.encoder.lists.same(result, found), f"result of {function.name}", function.span.line)
         return result
 
     def frame(self, function: decl.Function, args: tuple[Val, ...], way: WayOf | None = None) -> Frame:
-        """A run of a function that is yet to begin."""
+        """Return the frame in which a function is about to run."""
         parameters = {p.name: p.type for p in function.parameters}
         types = {**parameters, **temps_of(function.block)}
         frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, way)
@@ -87,8 +87,8 @@ class Functions:
         return frame
 
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        """What it requires is demanded. What it ensures holds where the call is made and has a result: of one that
-        breaks its contract the event is discarded."""
+        """Encode a call of an extern function: demand what it requires, assume what it ensures. The latter holds where
+        the call is made and has a result, since an event whose call breaks its contract is discarded."""
         result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         required, ensured = self.contract(function, args, result)
         for formula in required:
@@ -101,7 +101,7 @@ class Functions:
     def contract(
         self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
     ) -> tuple[list[Term], list[tuple[Term, int]]]:
-        """Return what a call requires, and what its result then satisfies, with the lines that say so."""
+        """Return what a call requires, and what its result then satisfies, each with its line."""
         types = {p.name: p.type for p in function.parameters}
         frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
         frame.temps = dict(zip(types, args, strict=True))
@@ -111,7 +111,7 @@ class Functions:
 
 
 def _identity(value: Val) -> object:
-    """Return a key of an argument: arguments with equal keys have equal values, whatever the state."""
+    """Return a key of an argument. Arguments with equal keys have equal values in every state."""
     match value:
         case Fleet(name):
             return "fleet", name

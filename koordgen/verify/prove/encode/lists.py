@@ -1,7 +1,7 @@
-"""Lengths, elements and equality of collections, read off the way in which they were made.
+"""Lengths, elements and equality of collections, derived from how each collection was built.
 
-What nothing else is known of is a function of the term that the collection is: `List<Task>.len`, `List<Task>.at.id`.
-Where a collection becomes an argument of a function, it must be a term itself: `term`.
+An unknown length or element is a function of the collection's term: `List<Task>.len`, `List<Task>.at.id`.
+`Lists.term` makes a term of a collection that becomes an argument of a function.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Lists:
         self.terms: dict[Collection, Term] = {}
         self.fleets: dict[Term, Fleet] = {}
         self.lengths: dict[Collection, Term] = {}
-        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # a collection -> its elements that were looked at
-        self.asked: dict[Term, list[tuple[Val, Term]]] = {}  # and what was looked for in it, with the answer
+        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read
+        self.asked: dict[Term, list[tuple[Val, Term]]] = {}  # collection -> item and result of each membership test
         self.elements: dict[tuple[Collection, Term], Val] = {}
 
     def length(self, xs: Collection) -> Term:
@@ -81,7 +81,7 @@ class Lists:
         return found
 
     def element(self, xs: Collection, index: Term) -> Val:
-        """`xs[index]` of a list or queue, of a set or map in their order; any value where there is none."""
+        """Return `xs[index]`; of a set or map, in its own order. Any value if the index is out of range."""
         found = self.elements.get((xs, index))
         if found is None:
             plain = type(xs) is Named
@@ -122,7 +122,7 @@ class Lists:
                 return self._read(self.term(xs), xs.type, index)
 
     def _read(self, xs: Term, type_: Type, index: Term) -> Val:
-        """An element of what is but a term; it is in there."""
+        """Return an element of an opaque collection, and note that the collection contains it."""
         found = self.room.function(f"{type_}.at", (xs, index), element_type(type_))
         if not isinstance(type_, PerRobot):
             self.room.element(index, robots=False, places=not _end(index))
@@ -153,14 +153,14 @@ class Lists:
         return found
 
     def place(self, xs: Collection, item: Val) -> Term:
-        """Where an item stands first, if it does."""
+        """Return the first place of an item, if the collection contains it; else any int."""
         found = truth(self.room.function(f"{xs.type}.index", (self.term(xs), *self.leaves(item)), INT))
         here = t.and_(t.at_most(_ZERO, found), t.less(found, self.length(xs)))
         self.room.fact(t.implies(self.has(xs, item), t.and_(here, self.same(self.element(xs, found), item))), "index")
         return found
 
     def has(self, xs: Collection, item: Val) -> Term:
-        """`item in xs`: of a map, among its keys."""
+        """Return whether a collection contains an item; for a map, whether it is a key."""
         match xs:
             case Known(items, type_):
                 keys = [pair[0] if isinstance(type_, MapOf) else pair for pair in items]  # type: ignore[index]
@@ -185,7 +185,7 @@ class Lists:
                 return self._asked(self.term(xs), xs.type, item)
 
     def value(self, xs: Collection, key: Val) -> Val:
-        """What a map holds under a key that it has."""
+        """Return the value of a map for a key that it has."""
         match xs:
             case Choice(condition, then, orelse):
                 return pick(condition, self.value(then, key), self.value(orelse, key))
@@ -206,7 +206,7 @@ class Lists:
     # Equality
 
     def same(self, a: Val, b: Val) -> Term:
-        """`a == b` of one type."""
+        """Return `a == b` of two values of one type."""
         if a is b:
             return t.TRUE
         if isinstance(a, tuple) and isinstance(b, tuple):
@@ -229,10 +229,10 @@ class Lists:
                 return t.and_(long, *elements)
         return t.equals(self.term(a), self.term(b))
 
-    # As arguments
+    # Terms of collections
 
     def leaves(self, value: Val) -> tuple[Term, ...]:
-        """A value as terms, each collection one of them."""
+        """Return a value as its terms, one for each collection in it."""
         if isinstance(value, tuple):
             flat: list[Term] = []
             for part in value:
@@ -244,7 +244,7 @@ class Lists:
         return (self.term(value) if isinstance(value, _COLLECTIONS) else truth(value),)
 
     def term(self, xs: Collection) -> Term:
-        """The term that a collection is."""
+        """Return the term of a collection."""
         if isinstance(xs, Named):
             return xs.term
         found = self.terms.get(xs)
@@ -278,8 +278,8 @@ class Lists:
         return t.apply(t.Function(name, tuple([a.sort for a in args]), sort), *args)
 
     def _tell(self, made: Term, xs: Known | Changed, places: list[Term]) -> None:
-        """The length and some elements of what is a term from now on. Where an update has no meaning (nothing can be
-        taken from an empty list) nothing is said."""
+        """Add facts about the length and some elements of a collection that became a term. SOUND: nothing is added
+        where an update is undefined, as removing an element of an empty list is."""
         named = Named(made, xs.type)
         possible: Term = t.TRUE
         if isinstance(xs, Changed):
@@ -295,7 +295,8 @@ class Lists:
                 self.room.fact(t.implies(t.and_(possible, there), same))
 
     def _fleet(self, name: str, xs: Fleet, sort: Sort) -> Term:
-        """All slots of an allread variable at one moment. Two of them are equal, or differ at some robot."""
+        """Return the term of all slots of an allread variable in one state. Two such terms are equal, or differ at
+        some robot."""
         found: Term = t.constant(f"{name}@all", sort)
         for other, fleet in self.fleets.items():
             if other is found:
@@ -310,14 +311,14 @@ class Lists:
 
 
 def _end(index: Term) -> bool:
-    """Whether a place is one at a list's beginning or end."""
+    """Return whether a place is a constant distance from a list's beginning or end."""
     while isinstance(index, t.Op) and index.name == "+" and t.number(index.args[1]) is not None:
         index = index.args[0]
     return isinstance(index, t.Value) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))
 
 
 def default(type_: Type, records: dict[str, Val]) -> Val | None:
-    """What a variable of a type begins with; None where that is a value of which nothing is known."""
+    """Return the default value of a type; None if nothing is known of it."""
     if is_collection(type_):
         return Known((), type_)
     name = str(type_)

@@ -1,4 +1,4 @@
-"""Quantifiers, and what loops run over."""
+"""Quantifiers, and the domains over which quantifiers and loops run."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
-_EXPANDED = 8  # a domain of at most so many elements is gone through one by one
+_EXPANDED = 8  # largest domain whose elements are enumerated
 
 
 class Domain(NamedTuple):
-    """`inside`: whether an int is a place in it; `element`: what is there; `few`: all elements, where they are few.
-    `robots`, `places`: what its places are. Its places are `start`, `start + step` and so on, before `stop`."""
+    """Domain of a quantifier or a `for`. Its places are ints: `start`, `start + step` and so on, before `stop`.
+    `inside`: whether an int is a place of it; `element`: the element at a place; `listed`: all elements, if they can be
+    enumerated. `robots`, `places`: whether its places may name robots, or be places in lists."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
@@ -34,32 +35,31 @@ class Domain(NamedTuple):
     step: int
 
     def ahead(self, index: Term) -> Term:
-        """Return that a loop which has come to this place has an element left."""
+        """Return that a loop at this place has an element left."""
         return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
 
     def not_after(self, a: Term, b: Term) -> Term:
-        """Return that a place comes before another one, or is that one."""
+        """Return that place `a` comes before `b` or is the same."""
         return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
 
     def passed(self, index: Term, head: Term) -> Term:
-        """Return that a loop which has come to `head` has gone through a place."""
+        """Return that a loop at place `head` has already gone through the place `index`."""
         before = t.less(index, head) if self.step > 0 else t.less(head, index)
         reached = self.not_after(self.start, index)
         return t.all_of([before, reached, *self.on_grid(index)])
 
     def on_grid(self, index: Term) -> list[Term]:
-        """Return that a number is `start` plus some steps; nothing for a step of 1 or -1."""
+        """Return that an int is `start` plus a multiple of `step`; an empty list for a step of 1 or -1."""
         if abs(self.step) == 1:
             return []
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
 def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
-    """As a truth value of its own, which every instance that is looked at agrees with.
+    """Encode a quantifier as a truth value that agrees with every instance that is built.
 
-    Where it is to be shown (`e.strict`), that all instances have a value is demanded: `not exists` is no value, and not
-    true, where an instance has none. SOUND: that is more than the semantics asks for, which stops at the first instance
-    that decides."""
+    If `e.strict`, it demands that all instances have values: `not exists` has no value, and is not true, if an instance
+    has none. SOUND: this demands more than the semantics, which stops at the first instance that decides."""
     every = node.kind == "forall"
     over = domain(e, node.domain, scope, node.body, node.name)
     temps, strict = dict(scope.temps), e.strict
@@ -103,7 +103,7 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 
 
 def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
-    """Return whether an instance may have no value, as far as its operations tell."""
+    """Return whether an instance may have no value, judged by its operations alone."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
@@ -126,18 +126,20 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
 
 
 def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
-    """A truth value: whether every instance holds."""
+    """Return a truth value that is equivalent to the truth of every instance.
+
+    One direction is a witness `some` for which the instance fails if the value is false. The other is instantiated."""
     some = room.new(name, t.INT)
     first = instance(some)
     found = room.new(f"forall {name}", t.BOOL)
     room.element(some, robots, places)
-    room.fact(t.or_(found, t.not_(first)), "one of which it does not hold")
+    room.fact(t.or_(found, t.not_(first)), "a witness for which it does not hold")
     room.for_all(lambda index: t.implies(found, instance(index)), robots, places)
     return found
 
 
 def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
-    """Whether a robot has that."""
+    """Return whether some robot's value is this item."""
     room = e.room
     key = (xs.name, *e.lists.leaves(item))
     if key not in room.nowhere:
@@ -148,7 +150,7 @@ def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
 
 
 def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> Domain:
-    """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
+    """Return the domain of a quantifier or a loop. `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
@@ -169,7 +171,7 @@ def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) 
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.room.size and e.room.robots is None:
-        high = None  # robots are not gone through one by one
+        high = None  # robots without numbers are never enumerated
     few: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
         few = [t.integer(i) for i in range(int(low), int(high), node.step)]
@@ -192,7 +194,7 @@ def _speaks_of(term: Term, part: Term) -> bool:
 
 
 def names_robots(body: Part, name: str) -> bool:
-    """Return whether a number may be used as the index of a robot; a number that is handed on may."""
+    """Return whether an int may be used as the index of a robot. SOUND: one that is passed on counts as used so."""
     for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
@@ -215,7 +217,7 @@ def _int(index: Term) -> Val:
 
 
 def _key(item: Val, type_: Type) -> Val:
-    """Of a map one goes through the keys."""
+    """Return the element over which a loop runs: of a map, its key."""
     if isinstance(type_, MapOf):
         assert isinstance(item, tuple)
         return item[0]

@@ -1,4 +1,4 @@
-"""What names mean in a property, and in a port assumption of one robot."""
+"""Scopes of names in a property of the fleet, and in an assumption about the ports of one robot."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class NotHere(Exception):
-    """An assumption asks a callable port of which nothing is known here."""
+    """An assumption asks a callable port whose answer is unknown in this scope."""
 
 
 class OfFleet:
-    """A property: over the shared store, every robot's locals and ports."""
+    """Scope of a property: the shared store, and every robot's locals and ports."""
 
     def __init__(self, state: State) -> None:
         self.state = state
@@ -38,18 +38,18 @@ class OfFleet:
         return self.state.of(("port", name), robot)
 
     def local(self, name: str) -> Val:
-        raise InternalError("a property says whose")
+        raise InternalError("a property reads a local without naming its robot")
 
     def port(self, name: str, primed: bool) -> Val:
-        raise InternalError("a property says whose")
+        raise InternalError("a property reads a port without naming its robot")
 
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
         raise NotHere
 
 
 class OfRobot(OfFleet):
-    """An assumption about one robot: its ports before and at a moment of the delta that follows. `answers`: what its
-    callable ports said, by the arguments."""
+    """Scope of an assumption about one robot: its ports before a step, and its primed ports at an instant of the step.
+    `answers`: answers of its callable ports, by port and arguments."""
 
     def __init__(
         self, before: State, after: State, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]

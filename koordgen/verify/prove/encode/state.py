@@ -1,4 +1,4 @@
-"""The fleet's state as terms: per robot, uninterpreted functions of its index; what an event writes, on top of them."""
+"""States of the fleet as terms: uninterpreted functions of the robot's index, overlaid by what an event writes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from koordgen.verify.prove.encode.values import Fleet, Val, pick
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Function, Term
 
-# "local", "slot", "cell", "port" and a name; a port's is "Module.port". "temp" and "wrote" (whether a cell was
-# written) are a run's own.
+# Kind and name of a variable. Kinds: "local", "slot", "cell", "port" (named "Module.port"); and of one run only "temp"
+# and "wrote" (whether a cell or port was written).
 Key = tuple[str, str]
 
 
 def declared(program: Program) -> dict[Key, Type]:
-    """Everything that a state holds, with its type."""
+    """Return all variables of a state, with their types."""
     found: dict[Key, Type] = {("local", v.name): v.type for v in program.locals}
     found.update({("slot" if v.kind == "allread" else "cell", v.name): v.type for v in program.shared})
     for module in program.modules:
@@ -30,7 +30,7 @@ def declared(program: Program) -> dict[Key, Type]:
 
 
 def cleared(program: Program) -> frozenset[Key]:
-    """The sensors that an event changes, too, since its commands clear them."""
+    """Return the sensors that an event changes because its commands clear them."""
     return frozenset([("port", sensor) for sensor in clearable(program)])
 
 
@@ -40,7 +40,7 @@ def sensors(program: Program) -> frozenset[Key]:
 
 
 class State(Protocol):
-    """A moment. `of` reads what a robot has of its own, or a cell, whatever the index."""
+    """One state of the fleet. `of` reads a robot's variable, or a cell whatever the index. `moment`: its name."""
 
     @property
     def types(self) -> Mapping[Key, Type]: ...
@@ -52,7 +52,7 @@ class State(Protocol):
 
 
 def slots(state: State, name: str) -> Fleet:
-    """An allread variable as a whole; the same where nobody wrote it in between."""
+    """Return an allread variable as a whole. States between which nobody wrote the variable give the same value."""
     key = ("slot", name)
     while (isinstance(state, Written) and key not in state.writes) or (isinstance(state, Moved)):
         state = state.before
@@ -63,7 +63,7 @@ def slots(state: State, name: str) -> Fleet:
 
 
 class Free:
-    """Any state; `moment` marks its symbols."""
+    """Arbitrary state; `moment` is the suffix of its symbols."""
 
     def __init__(self, room: Room, types: Mapping[Key, Type], moment: str = "") -> None:
         self.room, self.types, self.moment = room, types, moment
@@ -82,8 +82,8 @@ class Free:
 
 
 class Begun:
-    """The round's start, as the robot `own` sees it in the round: what only it writes, and the sensors in `shared`, are
-    as they are; `other` is all else."""
+    """State at the round's start as the robot `own` sees it within the round. What only `own` writes, and the sensors
+    in `shared`, are as in the state `now`; everything else is as in `other`."""
 
     def __init__(self, now: State, other: Free, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared
@@ -103,7 +103,7 @@ class Begun:
 
 
 class Written:
-    """A state after what one robot wrote."""
+    """State after one robot's writes."""
 
     def __init__(self, room: Room, before: State, own: Term, writes: Mapping[Key, Val], moment: str) -> None:
         self.room, self.before, self.own, self.writes = room, before, own, writes
@@ -121,7 +121,7 @@ class Written:
 
 
 class Moved:
-    """A state after some of its variables (the sensors) took any values, of all robots."""
+    """State after a havoc of some variables (the sensors) of all robots."""
 
     def __init__(self, before: State, after: Free, moved: frozenset[Key]) -> None:
         self.before, self.after, self.moved = before, after, moved

@@ -1,8 +1,8 @@
-"""Statements on symbols: every way through a block at once, its ends merged by the conditions of the ways.
+"""Symbolic execution of statements: all paths through a block at once, merged at its end by their path conditions.
 
-`loop.py` decides how a loop is encoded. A loop over few elements is unrolled. A loop whose turns leave nothing behind
-but their exits is a search: the first element that leaves it, or none. Any other loop is cut at its head: there, what
-the turns write may be anything that the loop's invariants and the facts about its turns (`facts_of_turns`) allow.
+`loop.py` decides how a loop is encoded. A loop over few elements is unrolled. A loop without loop-carried variables is
+a search: the first element that leaves it, or none. Any other loop is cut at its head: what its turns write is
+havocked there, then constrained by the loop's invariants and the facts about its turns (`facts_of_turns`).
 """
 
 from __future__ import annotations
@@ -44,15 +44,16 @@ Path = tuple[Term, ...]
 
 
 class Exit:
-    """One way out of a block: "break", "continue", "return", "stop"; where it is taken, and what is written by then."""
+    """One exit of a block. `kind`: "break", "continue", "return" or "stop". `path`: the condition under which it is
+    taken. `env`: what is written by then."""
 
     def __init__(self, kind: str, path: Path, env: Env, value: Val | None) -> None:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
 class Place(NamedTuple):
-    """One place of an event while it is encoded: the values there, the path to it, its position, and the operations
-    before it that must have had a value."""
+    """One program point of an event while it is encoded: the values there, the path condition, the position, and the
+    demands of the operations before it."""
 
     frame: Frame
     path: Term
@@ -61,13 +62,13 @@ class Place(NamedTuple):
 
     @property
     def reached(self) -> Term:
-        """The condition that a run gets to this place."""
+        """Return the condition that a run reaches this point."""
         return t.all_of([self.path, *[demand.term for demand in self.demands]])
 
 
 class Head:
-    """The head of one loop that is cut: `entry` is the place before the first turn, `turn` the head before any turn or
-    behind the last one, `back` the place at which a turn has ended that leads to the head again (None: no turn does).
+    """Head of one loop that is cut. `entry`: the point before the first turn. `turn`: the head before any turn or after
+    the last one. `back`: the end of a turn that leads to the head again; None if no turn does.
     """
 
     def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: Place) -> None:
@@ -77,9 +78,9 @@ class Head:
 
 
 class Frame:
-    """One run of an effect or a function. `now` is the state that is written, `seen` the one whose shared variables are
-    read; both None in a function. `types` are those of the run's own variables. `know` is told each loop's head, and
-    adds the facts that hold there. `way` decides how loops are encoded; None: by how many elements are seen to be."""
+    """Symbolic execution of one effect or function. `now`: the state that is written; `seen`: the state whose shared
+    variables are read; both None in a function. `types`: those of the run's own variables. `know` receives each loop
+    head and adds the facts that hold there. `way` decides how loops are encoded; None: by their number of elements."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: State | None, seen: State | None,
@@ -93,22 +94,22 @@ class Frame:
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
         self.heads: list[Head] = []
-        self.brief = False  # of the turns of loops only little is told
+        self.brief = False  # add fewer facts about the turns of loops
 
     def place(self) -> Place:
-        """This place, as it is now."""
+        """Return the current program point, with a copy of all values."""
         copy = Frame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.way)
         copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
         return Place(copy, t.all_of(self.room.path), self.room.position, tuple(self.room.demands))
 
     def state(self) -> Written:
-        """The fleet's state if the event ended here. Its name is its own: variables as a whole are told apart by it."""
+        """Return the fleet's state if the event ended here. Its unique name distinguishes the variables in it."""
         assert self.now is not None
         writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
         self.room.fresh += 1
         return Written(self.room, self.now, self.pid, writes, f"@place{self.room.fresh}")
 
-    # What is read
+    # Reads
 
     def own(self, key: Key) -> Val:
         if key in self.env:
@@ -146,7 +147,7 @@ class Frame:
     # Statements
 
     def block(self, block: stmt.Block) -> Term:
-        """Runs statements; when its end is reached, of those times in which its beginning is."""
+        """Run statements. Return the condition that the end of the block is reached, given that its beginning is."""
         live: Term = t.TRUE
         for place, statement in enumerate(block):
             if live is t.FALSE and not has_loop(block[place:]):
@@ -187,7 +188,7 @@ class Frame:
             self.env["wrote", key[1]] = t.TRUE
 
     def put(self, key: Key, value: Val) -> None:
-        """Let a variable have a value from here on."""
+        """Give a variable its new value."""
         if key[0] == "temp":
             self.temps[key[1]] = value
         else:
@@ -261,7 +262,7 @@ class Frame:
         return live
 
     def run(self, loop: Loop, element: Val | None) -> Term:
-        """One turn of a loop; when its end, or a `continue`, is reached."""
+        """Run one turn of a loop. Return the condition that its end, or a `continue`, is reached."""
         if isinstance(loop, stmt.For):
             assert element is not None
             self.take(loop, element)
@@ -280,7 +281,7 @@ class Frame:
         self.temps.update(zip(loop.names, parts, strict=True))
 
     def search(self, loop: stmt.For, over: Domain) -> Term:
-        """No turn changes anything, so the first element that leaves the loop decides."""
+        """Encode a loop whose turns change nothing: the first element that leaves the loop decides."""
         room, start = self.room, self.snapshot()
         found, first = room.new("found", t.BOOL), room.new(loop.names[0].split("@")[0], t.INT)
         path, depth = room.path, len(room.path)
@@ -320,7 +321,7 @@ class Frame:
         return t.not_(found)
 
     def demanded(self, loop: stmt.For, over: Domain, found: Term, first: Term, start: Env) -> None:
-        """Demand that each turn that is taken has a value: those of all elements up to the one that leaves the loop."""
+        """Demand that each turn that runs has a value: those up to and including the one that leaves the loop."""
         any_ = self.room.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
         self.looked_at(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
@@ -331,12 +332,12 @@ class Frame:
         self.exits = around
 
     def cut(self, loop: Loop, over: Domain | None) -> Term:
-        """At the head what the turns write may be anything that the facts there allow; one turn from there leads to
-        `back`, and where there is none, the loop has ended."""
+        """Encode a loop by a cut at its head. What the turns write is havocked and constrained by the facts there. One
+        turn from there leads to `back`. If there is no further turn, the loop has ended."""
         room, index = self.room, None
         if self.now is not None:
             line = loop.span.line
-            room.note(f"line {line}: of what the loop writes only its invariants and facts about turns are known")
+            room.note(f"line {line}: only invariants and facts about turns are known of what the loop writes")
         if over is not None:
             self.count(loop, over.start)
         kept = tuple(kept_by(loop))
@@ -362,7 +363,7 @@ class Frame:
         start = self.snapshot()
         with room.under(condition):
             live = self.run(loop, element)
-            if live is not t.FALSE or has_next_turn(loop):  # as `count.py` has it, which folds no constants
+            if live is not t.FALSE or has_next_turn(loop):  # `count.py` folds no constants, so it decides by the latter
                 if over is not None:
                     assert index is not None
                     self.count(loop, t.add(index, t.integer(over.step)))
@@ -375,14 +376,14 @@ class Frame:
         return t.not_(condition)
 
     def looked_at(self, index: Term, over: Domain, told: bool) -> None:
-        """Instantiate what holds of all robots, or of all places in lists, for this one, if so much is told."""
+        """Instantiate universals over robots or places at this index if `told`, else never."""
         if told:
             self.room.element(index, over.robots, over.places)
         else:
             self.room.ignored.add(index)
 
     def count(self, loop: Loop, index: Term) -> None:
-        """The variable of a loop over numbers, for the loop's invariants: the next value."""
+        """Set the variable of a loop over numbers to its next value, as the loop's invariants read it."""
         if isinstance(loop, stmt.For) and isinstance(loop.values, (ir.Range, ir.Ids)):
             self.temps[loop.names[0]] = index
 
@@ -392,7 +393,7 @@ class Frame:
         assert self.now is not None
         return self.now.types[key]
 
-    # Ways that come together
+    # Merging of paths
 
     def snapshot(self) -> Env:
         return {**self.env, **{("temp", name): value for name, value in self.temps.items()}}
@@ -402,7 +403,7 @@ class Frame:
         self.temps = {key[1]: value for key, value in env.items() if key[0] == "temp"}
 
     def merged(self, condition: Term, then: Env, orelse: Env) -> Env:
-        """What is written after either of two ways; temps that only one of them has are gone."""
+        """Return what is written after either of two paths. A temp that only one of them declares is dropped."""
         found: Env = {}
         for key in {**then, **orelse}:
             if key[0] == "temp":
@@ -421,22 +422,22 @@ class Frame:
         return state.of(key, self.pid)
 
     def writes(self) -> Env:
-        """What is written at the end, whichever way was taken; call it once the block has run."""
+        """Return what is written at the end, whichever path was taken. Call it after the block has run."""
         env = self.snapshot()
         for left in self.exits:
             env = self.merged(t.all_of(left.path), left.env, env)
         return {key: value for key, value in env.items() if key[0] != "temp"}
 
 
-# Facts about the turns of a loop that is cut: what holds at its head by the meaning of loops alone. Each rule is stated
-# in docs/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them can be satisfied
-# whatever the program does: by the values at loop entry, with no turn taken.
+# Facts about the turns of a loop that is cut, which hold at its head by the semantics of loops alone. Each rule is
+# stated in docs/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them are
+# satisfiable whatever the program does: by the values at loop entry, with no turn taken.
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
 def facts_of_turns(head: Head, over: Domain | None, index: Term | None, brief: bool) -> None:
-    """Add all that is known at a loop's head before any turn or behind the last one; `index` is the place in `over`
-    that a `for` has come to. `brief`: add only which places these may be, and what is counted."""
+    """Add the facts known at a loop's head, before any turn or after the last one. `index`: the current place of a
+    `for` in `over`. `brief`: add only the facts about possible places, about writes and about counters."""
     turns = _Turns(head, over, index)
     with turns.room.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()
@@ -467,7 +468,7 @@ class _Turns:
         self.room = self.now.room
         self.writes = Writes(self.loop)
 
-    # Rule "places": a `for` has come to a place of its domain, or to its end.
+    # Rule "places": the current place of a `for` is in its domain, or is the end of it.
 
     def places(self) -> None:
         if self.over is None or self.index is None:
@@ -482,7 +483,7 @@ class _Turns:
             for fact in over.on_grid(index):
                 room.fact(fact)
 
-    # Rule "written": a variable that no turn has written is as it was.
+    # Rule "written": a variable that no turn has written has its value at loop entry.
 
     def written(self) -> None:
         for kind, name in self.head.kept:
@@ -493,8 +494,8 @@ class _Turns:
             same = self.same((kind, name))
             self.room.fact(t.or_(truth(wrote), same))
 
-    # Rule "counted": what only grows is never below its value at loop entry, and not above it by more than one step a
-    # turn; what grows in each turn is exactly so much above.
+    # Rule "counted": a variable that only grows is never below its value at loop entry, and at most one step a turn
+    # above it. A variable that grows in each turn is exactly one step a turn above it.
 
     def counted(self, key: Key) -> None:
         writes = self.writes.of(key)
@@ -517,8 +518,8 @@ class _Turns:
         else:
             self.room.fact(t.at_most(now, most) if rises else t.at_most(most, now))
 
-    # Rule "last written": what one statement alone writes is as it was, or as that statement made it in an earlier
-    # turn.
+    # Rule "last written": a variable with one writing statement has its value at loop entry, or the value that the
+    # statement gave it in an earlier turn.
 
     def last_written(self, group: Sequence[Write]) -> None:
         fixed = [write for write in group if self.writes.is_fixed(write.value, write.lets)]
@@ -533,8 +534,8 @@ class _Turns:
         kept = [self.same(write.key) for write in fixed]
         self.room.fact(t.or_(t.all_of(kept), t.all_of([self.over.passed(turn, self.index), *made, *held])))
 
-    # Rule "bounded": what keeps the least value is not above the value at loop entry, nor above that of any turn that
-    # was taken.
+    # Rule "bounded": a variable that keeps the least value is at most its value at loop entry, and at most the value of
+    # any turn that ran.
 
     def bounded(self, bound: Bound) -> None:
         write = bound.write
@@ -599,13 +600,13 @@ class _Turns:
         finally:
             self.writes.changed = changed
 
-    # What stands in the rules
+    # Parts of the rules
 
     def name(self) -> str:
         return self.loop.names[0].split("@")[0] if isinstance(self.loop, stmt.For) else "turn"
 
     def at(self, turn: Term, lets: Sequence[stmt.Let]) -> Frame:
-        """The values of a turn that depend on nothing but its element."""
+        """Return a frame with the values in one turn of variables that depend only on the turn's element."""
         assert self.over is not None and isinstance(self.loop, stmt.For)
         frame = self.before.place().frame
         frame.take(self.loop, self.over.element(turn))
@@ -615,12 +616,12 @@ class _Turns:
         return frame
 
     def value(self, node: ir.Expr, frame: Frame) -> Val:
-        """The value of an expression, whether or not it has one: no demand is made."""
+        """Return the value of an expression without demanding that it has one."""
         with self.room.outermost(), self.room.aside():
             return frame.e.value(node, frame)
 
     def guards(self, guards: Sequence[tuple[ir.Expr, bool]], lets: tuple[stmt.Let, ...], frame: Frame) -> list[Term]:
-        """Those of the conditions that depend on nothing but the turn's element."""
+        """Return those of the conditions that depend only on the turn's element, as terms that hold."""
         fixed = [(guard, held) for guard, held in guards if self.writes.is_fixed(guard, lets)]
         terms = [(truth(self.value(guard, frame)), held) for guard, held in fixed]
         return [term if held else t.not_(term) for term, held in terms]

@@ -1,7 +1,7 @@
-"""The mission's start: first values, actuators at hold, then every robot's init.
+"""Mission start: initial values, actuators at hold, then every robot's `init`.
 
-A mission begins when every robot's init has come to its end. So what holds at its start is shown of fleets in which no
-init was discarded; that none is discarded is `(well-defined)`."""
+A mission begins when every robot's `init` has ended. Invariants at its start are therefore shown only for fleets in
+which no `init` was discarded. The obligation `(well-defined)` shows that none is discarded."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
 
 
 class Launch:
-    """Before any `init`. Sensors are any, but those that commands clear: they are true. An actuator that holds at a
-    sensor has its value (any, where the program does not declare the sensor), any other actuator its default."""
+    """State before any `init`. Sensors are arbitrary, except that those that commands clear are true. An actuator that
+    holds at a sensor has the sensor's value (any, if the program does not declare it), any other its default."""
 
     moment = "@launch"
 
@@ -69,7 +69,7 @@ class Launch:
 
 
 class Run:
-    """One robot's init: what it writes; what must be true of it for the mission to begin."""
+    """One robot's `init`: what it writes (`writes`), and the condition that it ends with a result (`ended`)."""
 
     def __init__(self, stage: Stage, launch: Launch, robot: Term) -> None:
         room, init = stage.room, stage.setting.program.init
@@ -91,7 +91,7 @@ class Run:
 
 
 class Ready:
-    """After every robot's init: of several writers of an allwrite variable the highest pid counts."""
+    """State after every robot's `init`. If several robots write an allwrite variable, the highest pid wins."""
 
     moment = "@ready"
 
@@ -141,12 +141,12 @@ class Ready:
 
 
 def _named(block: stmt.Block) -> set[int]:
-    """The numbers with which a block compares `pid`."""
+    """Return the numbers with which a block compares `pid`."""
     pairs = [(n.left, n.right) for n in walk(block) if isinstance(n, ir.Compare)]
     pairs += [(right, left) for left, right in pairs]
     return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
 
 
 def launched(stage: Stage, launch: Launch) -> None:
-    """What holds initially."""
+    """Assume the program's `initially` properties."""
     stage.holds(stage.setting.initially, launch)

@@ -1,7 +1,7 @@
-"""How many obligations a program has, counted from the IR alone: what the encoder makes must be exactly these.
+"""Expected obligations of a program, counted from the IR alone. The encoder must produce exactly these.
 
-An obligation that the encoder leaves out would be a proof with a hole. So the count shares with the encoder only the
-decisions that are made from the IR (`loops.py`, `encode/loop.py`), and none of its work.
+An obligation that the encoder omits would leave a hole in the proof. So the count shares only the decisions that are
+made from the IR (`loops.py`, `encode/loop.py`) with the encoder, and none of its work.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ def expected(
     program: decl.Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None,
     dropped: frozenset[AtHead] = frozenset(),
 ) -> Counter[str]:  # fmt: skip
-    """The names of the obligations of invariants, each with how often it occurs: those of the mission's start, of each
-    event, of the environment's step, and of each loop that is cut. Those of `(well-defined)` and of consistency are not
-    among them: how many operations can fail is what the encoder finds out."""
+    """Return the names of the obligations of invariants with the number of times that each occurs: at the mission's
+    start, for each event, for the environment's step, and for each loop that is cut. Obligations of `(well-defined)`
+    and of consistency are not counted: only the encoder finds out how many operations can fail."""
     setting = Setting(program, robots, params, "little", dropped)
     names = Counter(f"{p.name}-init" for p in setting.invariants)
     for event in program.events:
@@ -37,8 +37,8 @@ def expected(
 
 
 def _at_heads(setting: Setting, owner: str, block: stmt.Block) -> Iterator[str]:
-    """An obligation for each formula that is assumed at a loop's head, where the loop begins; one more, where a turn
-    leads to the head again. A loop that is written out has those within it once for each turn."""
+    """Yield the names of a block's loop obligations: for each formula assumed at a loop's head one at loop entry, and
+    one more if a turn leads to the head again. Those within an unrolled loop occur once per turn."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):

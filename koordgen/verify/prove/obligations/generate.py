@@ -1,7 +1,8 @@
-"""From a program to its obligations: the mission's start, each event, the environment's step.
+"""Generator of proof obligations: the mission's start, each event, the environment's step.
 
-Induction: the invariants hold when all robots have run `init`; each event of each robot keeps them, whatever others did
-in the round by then; and so does each moment of the environment's step. docs/proofs.md argues that this suffices.
+Proof by induction. Base: the invariants hold when all robots have run `init`. Induction steps: each event of each robot
+preserves them, whatever others did earlier in the round; so does the environment's step, at each of its instants.
+docs/proofs.md argues that this suffices.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from koordgen.verify.prove.smt.term import Term
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
 OF_TWO = "(two robots)"
-CONSISTENT = ("initially", "environment")  # what is asked of the assumptions, whatever the program does
+CONSISTENT = ("initially", "environment")  # consistency questions about the assumptions of every program
 
 
 class Goal(NamedTuple):
-    """One goal of an invariant, in parts. At a loop's head, `at` says which head and which formula, `place`
-    is "entry" or "turn", and only what is known at that place may be used: facts up to `position`, and `demands`."""
+    """One goal of an invariant, in parts. At a loop's head, `at` identifies the head and the formula, and `place` is
+    "entry" or "turn". Only what is known at that place may be used: facts up to `position`, and `demands`."""
 
     invariant: str
     conjuncts: tuple[Fact, ...]
@@ -53,11 +54,11 @@ def obligations(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
     dropped: frozenset[AtHead] = frozenset(), event: str | None = None,
 ) -> list[Obligation]:  # fmt: skip
-    """Everything that is to be shown of a checked program: for `robots` robots, or for any number of them; with the
-    values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
-    with it; `dropped` are formulas that are not assumed at heads of loops. `told`: how much of what is known of
-    distances and of the round; "most" is slower to solve, and what a counterexample must satisfy; with "little" there
-    are no cells. `event`: only those of one event, of "init", of "(environment)" or of a function."""
+    """Return all obligations of a checked program, for `robots` robots or for any number of them. Params have the
+    values in `params`; the others are arbitrary. To drop or add an invariant, pass a program without or with it.
+    `dropped`: formulas that are not assumed at heads of loops. `detail`: how many of the known facts about distances
+    and the round are added. With "most", which is slower to solve, counterexamples satisfy more of them; with "little"
+    there are no cells. `event`: only the obligations of one event, of "init", "(environment)" or a function."""
     return [obligation for room in rooms(program, robots, params, told, dropped, event) for obligation in room]
 
 
@@ -65,7 +66,7 @@ def rooms(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
     dropped: frozenset[AtHead] = frozenset(), event: str | None = None,
 ) -> Iterator[list[Obligation]]:  # fmt: skip
-    """The same, by and by: those that share their facts together."""
+    """Yield the obligations of `obligations` in groups. The obligations of one group share their facts."""
     t.forget()
     setting = Setting(program, robots, params, told, dropped)
     if event is None:
@@ -76,8 +77,8 @@ def rooms(
 
 
 class Part(NamedTuple):
-    """A part of a program whose obligations share their facts. `write` encodes it. `invariants` are the names of those
-    that have an obligation in it, `block` the statements with its loops."""
+    """A part of a program whose obligations share their facts. `write` encodes it. `invariants`: the names of those
+    that have an obligation in it. `block`: the statements that contain its loops."""
 
     kind: Kind
     name: str
@@ -88,7 +89,7 @@ class Part(NamedTuple):
 
 
 def parts(setting: Setting) -> Iterator[Part]:
-    """The parts of a program in the order in which they are asked."""
+    """Yield the parts of a program in the order in which their obligations are asked."""
     program, names = setting.program, tuple([p.name for p in setting.invariants])
     for function in stating(program):
         write = partial(of_function, setting, function)
@@ -107,7 +108,7 @@ def parts(setting: Setting) -> Iterator[Part]:
 
 
 def written_down(setting: Setting, part: Part) -> list[Obligation]:
-    """The obligations of a part. If its formulas are too large, its obligations are there without formulas."""
+    """Return the obligations of a part. If its formulas are too large, they have no formulas but exist, unproved."""
     t.count_anew()
     try:
         return part.write()
@@ -126,7 +127,7 @@ def written_down(setting: Setting, part: Part) -> list[Obligation]:
 
 
 def _unwritten(setting: Setting, name: str, invariant: str, kind: Kind, part: Part, reason: str) -> Obligation:
-    """An obligation whose formulas are too large: its goal is false, so that no solver can prove it."""
+    """Return an obligation whose formulas are too large. Its goal is false, so that no solver can prove it."""
     path, robots = setting.program.path, setting.robots
     goal = None if kind == "consistency" else Fact(invariant, t.FALSE, path, part.line)
     expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
@@ -146,13 +147,13 @@ def _named_at_head(invariant: str, kind: Kind, event: str, line: int, place: str
 def assumptions(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
 ) -> list[Obligation]:
-    """Those of the obligations that ask whether what is assumed can be true."""
+    """Return the obligations that ask whether the assumptions are satisfiable."""
     t.forget()
     return consistency(Setting(program, robots, params, "little"))
 
 
 def consistency(setting: Setting) -> list[Obligation]:
-    """All that is asked of the assumptions, whatever the program does."""
+    """Return the consistency obligations of every program, which ask about its assumptions alone."""
     asked = [(name, False) for name in CONSISTENT]
     assumed = [a.formula for module in setting.program.modules for a in module.assumptions]
     if setting.robots is None and any(isinstance(node, ir.Pid) for node in walk(tuple(assumed))):
@@ -174,7 +175,7 @@ def _named_of_assumptions(name: str, of_two: bool) -> str:
 
 
 def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
-    """The invariants that stand at a function's loops, for arguments of which nothing is known."""
+    """Return the obligations of the invariants at a function's loops, for arbitrary arguments."""
     stage = Stage(setting)
     room = stage.room
     args = tuple([room.any(parameter.name.split("@")[0], parameter.type) for parameter in function.parameters])
@@ -187,7 +188,7 @@ def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
 
 
 def of_init(setting: Setting) -> list[Obligation]:
-    """One robot's init: that it has a result, and what holds at the heads of its loops."""
+    """Return the obligations of one robot's `init`: it has a result, and formulas hold at the heads of its loops."""
     stage, program = Stage(setting), setting.program
     launch = Launch(stage)
     run = Run(stage, launch, stage.room.acting("pid"))
@@ -199,7 +200,7 @@ def of_init(setting: Setting) -> list[Obligation]:
 
 
 def base(setting: Setting) -> list[Obligation]:
-    """The invariants hold when every robot's init has ended."""
+    """Return the base case: the invariants hold when every robot's `init` has ended."""
     stage, program = Stage(setting), setting.program
     ready = Ready(stage)
     launched(stage, ready.launch)
@@ -254,8 +255,8 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
 
 
 def guarded(stage: Stage, guard: ir.Expr, frame: Frame) -> None:
-    """The guard holds, if all of it has a value: otherwise it would show that its own operations have one. Of the parts
-    before the first such operation it is learned that they hold."""
+    """Assume that the guard holds if all of it has a value. Without that condition, the guard could prove that its own
+    operations have values. The parts before the first such operation are learned without it."""
     room = stage.room
     parts: list[Term] = []
     for part in conjuncts(guard):
@@ -267,7 +268,7 @@ def guarded(stage: Stage, guard: ir.Expr, frame: Frame) -> None:
 
 
 def environment(setting: Setting) -> list[Obligation]:
-    """Of the invariants in their order each may use that those before it hold after the step, too."""
+    """Return the environment step's obligations. Each invariant may use that earlier ones hold after the step."""
     stage = Stage(setting)
     now = Free(stage.room, setting.types)
     after = Moved(now, Free(stage.room, setting.types, "@after"), setting.sensors)
@@ -284,9 +285,9 @@ def environment(setting: Setting) -> list[Obligation]:
 
 
 def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
-    """Ask whether the assumptions can be true: at the mission's start (params, sensors, spec functions, contracts and
-    answers of callable ports), or of a step of the environment within the invariants. `of_two`: in a fleet of at least
-    two robots, since assumptions that read `pid` may contradict one another for robot 1 and not for robot 0."""
+    """Ask whether the assumptions are satisfiable: at the mission's start (params, sensors, spec functions, contracts
+    and answers of callable ports), or in a step of the environment within the invariants. `of_two`: in a fleet of at
+    least two robots, since assumptions that read `pid` may contradict one another for robot 1 but not for robot 0."""
     stage = Stage(setting, thorough=True)
     room = stage.room
     room.robot(t.integer(0), known=True)
@@ -312,7 +313,7 @@ def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
 
 
 def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
-    """Goals of the formulas that are assumed at heads: each holds where its loop begins, and each turn keeps it."""
+    """Return the goals of the formulas assumed at heads: each holds at loop entry, and each turn preserves it."""
     loops = stage.setting.loops
     found = []
     for head in heads:
@@ -330,7 +331,7 @@ def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
 
 
 class _Output:
-    """The obligations of one room, which share its facts."""
+    """Builder of the obligations of one part, which share its facts."""
 
     def __init__(
         self, stage: Stage, kind: Kind, event: str, line: int, facts: tuple[Fact, ...], cells: tuple[Cell, ...]
@@ -344,9 +345,9 @@ class _Output:
         self.names: Counter[str] = Counter()
 
     def all(self, goals: Sequence[Goal], demands: Sequence[Fact], ended: tuple[Fact, ...]) -> list[Obligation]:
-        """One for each goal, and one that every operation has a value. Goals assume that: an event in which an
-        operation has none is discarded, and changes nothing. `ended`: that the effect has come to its end, which it has
-        not at a loop's head."""
+        """Return one obligation per goal, and one that every operation has a value. Goals may assume the latter: an
+        event in which an operation has no value is discarded and changes nothing. `ended`: that the effect has reached
+        its end; it is not assumed at a loop's head."""
         found = []
         for wanted in goals:
             if wanted.at is None:
@@ -363,7 +364,7 @@ class _Output:
     def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[Fact, ...]) -> Obligation:
         program, conjuncts = self.stage.setting.program, wanted.conjuncts
         self.names[name] += 1
-        if self.names[name] > 1:  # a loop within one that is written out
+        if self.names[name] > 1:  # a loop within an unrolled one
             name = f"{name}-{self.names[name]}"
         goal = None
         if self.kind != "consistency":
@@ -379,13 +380,13 @@ class _Output:
         )  # fmt: skip
 
     def satisfiable(self, name: str, assumed: tuple[Fact, ...]) -> Obligation:
-        """Ask whether the event can get to its end, with what is assumed of the calls on its way."""
+        """Ask whether the event can reach its end under the assumptions about the calls on its path."""
         found = self.one(name, Goal("", ()), "consistency", assumed)
         return replace(found, goal=None, expected="sat")
 
     def before(self, wanted: Goal) -> tuple[Fact, ...]:
-        """The facts that a goal may use: none of later places of the event, and none that says that this invariant, or
-        one behind it, holds after a step of the environment."""
+        """Return the facts that a goal may use: none from later points of the event, and none that says that this
+        invariant, or a later one, holds after the environment's step."""
         names = [p.name for p in self.stage.setting.invariants]
         if wanted.invariant in names:
             names = names[names.index(wanted.invariant) :]
@@ -393,5 +394,5 @@ class _Output:
         return tuple([f for f in self.facts if f.position <= wanted.position and f.label not in later])
 
     def logic(self) -> str:
-        """The logic of SMT-LIB that all terms of the room are in."""
+        """Return the smallest logic of SMT-LIB that contains all terms of this part."""
         return f"QF_UF{'N' if self.traits & t.NONLINEAR else 'L'}{'IRA' if self.traits & t.REALS else 'IA'}"

@@ -1,4 +1,4 @@
-"""What is to be shown: a property of a state, of any robots, in parts."""
+"""Goals: a property of a state, split into parts for arbitrary robots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMES = ("i", "j", "k", "l", "m")
 
 
 def goal(stage: Stage, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
-    """The parts of what a property says of a state, where `guard` holds."""
+    """Return the parts of a property of a state, each under the condition `guard`."""
     said = stage.setting.mentions[property_.name]
     cells = not isinstance(state, Written) or any(k[0] == "cell" and k in said for k in state.writes)
     bystanders = cells or not _names_robots(property_.formula, frozenset())
@@ -29,7 +29,7 @@ def goal(stage: Stage, property_: decl.Property, state: State, guard: Term = t.T
 
 
 def goal_at(stage: Stage, name: str, formula: ir.Expr, scope: Scope, guard: Term) -> tuple[Fact, ...]:
-    """The parts of what a formula says at one place of an event or a function, where `guard` holds."""
+    """Return the parts of a formula at one point of an event or a function, each under the condition `guard`."""
     return _parts(_Goals(stage, name, scope, True), formula, guard)
 
 
@@ -44,8 +44,9 @@ def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[Fact, ...]:
 
 
 class _Goals:
-    """After an event a robot is the acting one or another. Where none is the acting one, and the formula speaks of
-    nothing that all share, it says what it said before the event, which need not be shown."""
+    """Builder of the parts of a goal. After an event, each robot variable is the acting robot or another one. If none
+    is the acting robot, and the formula reads no shared variable, the part is unchanged since before the event and need
+    not be shown."""
 
     def __init__(self, stage: Stage, name: str, scope: Scope, bystanders: bool) -> None:
         self.stage, self.room, self.name = stage, stage.room, name
@@ -76,12 +77,12 @@ class _Goals:
                 self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:
-        """Whether none of these is the acting one, by name; where robots have numbers, each may be."""
+        """Return whether no robot is the acting one. Where robots are numbers, any of them may be the acting one."""
         by_name = self.room.robots is None and self.room.own is not None
         return by_name and not self.bystanders and self.room.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
-        """Any robot; each, where their number is known. `more`: another one will be asked for."""
+        """Yield one term for any robot; if their number is known, each number. `more`: another quantifier follows."""
         room = self.room
         if room.robots is not None:
             yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
@@ -110,7 +111,7 @@ class _Goals:
 
 
 def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
-    """Whether a formula reads what robots have by its outer quantifiers' variables alone."""
+    """Return whether a formula reads robots' variables only through the variables of its outer quantifiers."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)
@@ -129,7 +130,7 @@ def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
 
 
 def shown(formula: ir.Expr) -> str:
-    """A formula as the program writes it, nearly."""
+    """Return the text of a formula, close to how the program writes it."""
     from koordgen.lang.ir.printer import expression
 
     return expression(formula)

@@ -1,8 +1,8 @@
-"""The invariants of loops: which are assumed at which loop's head. Decided from the IR alone.
+"""Loop invariants: which formulas are assumed at which loop's head, decided from the IR alone.
 
-An invariant that a program states at a loop's head is always among them, unless it was found not to hold. Of the
-program's own invariants those are among them that speak of what the loop writes: they may hold there, which is tried.
-What is assumed at a head is shown where the loop begins and for each turn (docs/semantics.md).
+Formulas that a program states at a loop's head are always assumed there, unless one was found not to hold. The
+program's own invariants that mention a loop-carried variable are candidates: they are assumed until they fail.
+Every formula assumed at a head is shown at loop entry and for each turn (docs/semantics.md).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ INIT = "init"
 
 
 class LoopInvariants:
-    """Of one program. `dropped` are those that do not hold where they were tried."""
+    """Loop invariants of one program. `dropped`: formulas that were found not to hold at a head."""
 
     def __init__(
         self, program: decl.Program, mentions: Mapping[str, frozenset[Key]], known: Mapping[str, ir.Expr],
@@ -36,11 +36,11 @@ class LoopInvariants:
             self.number.update({id(loop): (owner, number) for number, loop in enumerate(loops)})
 
     def way(self, loop: Loop) -> Way:
-        """How a loop of an event or of `init` is encoded."""
+        """Return the encoding of a loop of an event or of `init`."""
         return way_of(loop, self.known, self.robots)
 
     def stated(self, loop: Loop) -> Iterator[tuple[AtHead, ir.Expr]]:
-        """The invariants that stand at the loop's head."""
+        """Yield the invariants that the program states at the loop's head."""
         owner, number = self.number[id(loop)]
         for invariant in loop.invariants:
             at = AtHead(owner, number, f"line {invariant.span.line}")
@@ -48,7 +48,8 @@ class LoopInvariants:
                 yield at, invariant.formula
 
     def tried(self, loop: Loop) -> Iterator[tuple[AtHead, decl.Property]]:
-        """The program's invariants that speak of what the loop writes; in `init`, what they say of the robot itself."""
+        """Yield the program's invariants that mention a loop-carried variable, as candidates; in `init`, about the
+        robot itself."""
         owner, number = self.number[id(loop)]
         if owner not in self.events and owner != INIT:
             return
@@ -59,17 +60,17 @@ class LoopInvariants:
                 yield at, property_
 
     def at(self, loop: Loop) -> list[AtHead]:
-        """All that is assumed at a loop's head."""
+        """Return all formulas that are assumed at a loop's head."""
         return [at for at, _ in self.stated(loop)] + [at for at, _ in self.tried(loop)]
 
 
 def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
-    """Yield the blocks of a program by their owners: events, `init`, functions."""
+    """Yield the blocks of a program with their owners: events, `init`, functions."""
     yield from ((event.name, event.effect) for event in program.events)
     yield INIT, program.init
     yield from ((function.name, function.block) for function in program.functions)
 
 
 def stating(program: decl.Program) -> list[decl.Function]:
-    """The functions in which loops have invariants."""
+    """Return the functions whose loops have invariants."""
     return [f for f in program.functions if any(isinstance(n, stmt.LoopInvariant) for n in walk(f.block))]

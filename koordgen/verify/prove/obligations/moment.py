@@ -1,4 +1,4 @@
-"""One room with the states of one obligation: what is assumed there, and what is to be shown."""
+"""Assumptions of one part of a program: the proof problem, and the encoder that adds what is assumed as facts."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import AtHead, Cell, Fact, Moment
 from koordgen.verify.prove.smt.term import Term
 
-# How much of what is known is told: "little" is what proofs mostly need, "most" all that is known, which solvers find
-# hard. Counterexamples are of what is told "usual"ly, or most.
+# How many of the known facts are added. "little" suffices for most proofs; "most" adds all, which solvers find hard.
+# Counterexamples satisfy the facts of "usual" or "most".
 Told = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
-CHOICES = 16  # of values for the names of an axiom, at most, when it is asked whether axioms contradict one another
-UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
+CHOICES = 16  # most combinations of values at which an axiom is instantiated to check axioms against one another
+UNROLLED, PAIRED = 20, 4  # most robots that are named by numbers; the same if formulas quantify over pairs of robots
 
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values, how much is told. `dropped`:
-    what does not hold at the heads of loops."""
+    """Proof problem: a program, its number of robots (None: any), the params with values, and the detail of facts.
+    `dropped`: formulas that do not hold at heads of loops."""
 
     def __init__(
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told,
@@ -55,29 +55,29 @@ class Setting:
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def changed(self, event: decl.Event) -> set[Key]:
-        """Return what an event may change: what it writes, and the sensors that its commands clear."""
+        """Return the variables that an event may change: those it writes, and the sensors that its commands clear."""
         keys = {key for key in written(event.effect) if key[0] != "temp"}
         commanded = clears(self.program)
         cleared = {("port", sensor) for kind, name in keys if kind == "port" for sensor in commanded.get(name, ())}
         return keys | cleared
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
-        """The invariants that speak of one of these variables: the others stay as they are."""
+        """Return the invariants that mention one of these variables. Frame condition: the others stay unchanged."""
         return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
 class Stage:
-    """The room of one obligation, or of several that share their facts."""
+    """Encoder of one part of a program, for one obligation or several that share their facts."""
 
     def __init__(self, setting: Setting, thorough: bool = False) -> None:
-        """`thorough`: everything is told of distances, in any case."""
+        """Begin a part. `thorough`: add all facts about distances, whatever the problem's detail."""
         self.thorough = thorough or setting.told == "most"
         program = setting.program
         self.setting = setting
         self.brief = setting.told == "little"
         self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
-        self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
+        self.looked: dict[int, int] = {}  # id of an axiom's trigger -> number of calls at which it was instantiated
         self.functions = Functions(self.room, self.params, self.know, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
@@ -96,7 +96,7 @@ class Stage:
     # What is assumed
 
     def rigid(self, formula: ir.Expr) -> None:
-        """What is said of params alone at the mission's start holds for good."""
+        """Assume for good the parts of an `initially` formula that read params alone."""
         for part in conjuncts(formula):
             if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                        for n in walk(part)):  # fmt: skip
@@ -104,14 +104,14 @@ class Stage:
                     self.assume(part, OfFleet(_Nowhere()))
 
     def holds(self, properties: Iterable[decl.Property], state: State, guard: Term = t.TRUE, when: str = "") -> None:
-        """Properties hold of a state, where `guard` does."""
+        """Assume properties of a state, under the condition `guard`."""
         for property_ in properties:
             label = f"{property_.kind} {property_.name}".strip() + when
             with self.room.about(label, property_.span.line):
                 self.assume(property_.formula, OfFleet(state), guard)
 
     def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
-        """A formula is a fact where `guard` holds; what it says of all, it says of each that is looked at."""
+        """Add a formula as a fact under the condition `guard`. A universal formula is instantiated later."""
         match formula:
             case ir.Logic("and", left, right):
                 self.assume(left, scope, guard)
@@ -140,9 +140,9 @@ class Stage:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
     def know(self, head: Head) -> None:
-        """Add what is assumed at a loop's head: it holds before each turn and behind the last one, from there on.
-        SOUND: of robots only: an index that names none has an `init` in the formulas, too, of which nothing may be
-        said."""
+        """Assume the formulas at a loop's head: before each turn and after the last one, from the head on. SOUND: only
+        for indices that name robots. The formulas contain an `init` also of an index that names none, of which nothing
+        may be assumed."""
         loops, place, own = self.setting.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
         reached = t.and_(place.reached, self.room.within(own)) if in_event else place.reached
@@ -158,7 +158,7 @@ class Stage:
 
     def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
         """Return an invariant as it is assumed at a loop's head: in an event, as if the event ended there; in `init`,
-        of the robot itself, since the others may have run theirs or not."""
+        about the robot itself, since the others may or may not have run theirs."""
         scope, formula = OfFleet(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
@@ -168,7 +168,7 @@ class Stage:
         return formula, scope
 
     def ports(self, before: State, after: State) -> None:
-        """Every robot keeps its modules' assumptions in a step of the environment."""
+        """Assume each module's assumptions, for every robot, about a step of the environment."""
         for module in self.setting.program.modules:
             for assumption in module.assumptions:
                 with self.room.about(f"assume of {module.name}", assumption.span.line):
@@ -187,7 +187,7 @@ class Stage:
             self.room.for_all(instance)
 
     def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: State) -> None:
-        """What is assumed of a callable port's answer, of the goals that it was asked for."""
+        """Assume what the program assumes of a callable port's answer, for the goals with which it was called."""
         name = f"{port.module}.{port.port}"
         for module in self.setting.program.modules:
             for assumption in module.assumptions if module.name == port.module else ():
@@ -195,7 +195,8 @@ class Stage:
                     self._of_answer(part, port, args, OfRobot(state, state, pid, {(name, args): answer}))
 
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
-        """A formula with primed ports or actuators is about a later moment, when they may have other values."""
+        """Assume one formula of an answer, unless it has primed ports or actuators: it is about a later instant, when
+        these may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
@@ -209,10 +210,10 @@ class Stage:
             try:
                 self.room.given(self.encoder.defined(part, scope))
             except (NotHere, KeyError):
-                return  # it speaks of other goals, too
+                return  # the formula mentions other goals, too
 
     def any_answers(self, state: State) -> None:
-        """An answer of each callable port of which something is assumed, for goals of which nothing is known."""
+        """Assume an answer of each callable port that has assumptions, for arbitrary goals."""
         for module in self.setting.program.modules:
             for assumption in module.assumptions:
                 for call, _ in decl.handed(assumption.formula):
@@ -221,8 +222,8 @@ class Stage:
                     self.answered(call, args, answer, t.integer(0), state)
 
     def any_axioms(self) -> None:
-        """Each axiom that speaks of all values, for the same two values of each type, of which nothing is known: so
-        that axioms meet. SOUND: these are some of the instances."""
+        """Instantiate each axiom about all values at the same two arbitrary values of each type, so that axioms can
+        contradict one another. SOUND: these are some of the instances."""
         values: dict[Type, tuple[Val, Val]] = {}
         for axiom, free, _ in self.setting.axioms:
             for type_ in free.values():
@@ -235,7 +236,7 @@ class Stage:
                     self.room.fact(self.encoder.defined(axiom.formula, scope))
 
     def any_contracts(self) -> None:
-        """A call of each extern function, for arguments of which nothing is known, with a result."""
+        """Assume a call of each extern function, for arbitrary arguments, with a result."""
         for function in self.setting.program.externs:
             args = tuple([self.room.any(p.name.split("@")[0], p.type) for p in function.parameters])
             result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
@@ -251,7 +252,7 @@ class Stage:
         return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
-        """What is known of spec functions, for the values that were met."""
+        """Instantiate the axioms of spec functions at the arguments of calls."""
         for axiom, free, triggers in self.setting.axioms:
             with self.room.about(f"axiom {axiom.name}", axiom.span.line):
                 if not free:
@@ -260,7 +261,7 @@ class Stage:
                     self._axiom(axiom, trigger)
 
     def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
-        """Of each call once."""
+        """Instantiate an axiom once at each call of its trigger."""
         met = self.encoder.calls.get(trigger.name, [])
         done = self.looked.get(id(trigger), 0)
         self.looked[id(trigger)] = len(met)
@@ -271,8 +272,8 @@ class Stage:
             self.room.fact(self.encoder.defined(axiom.formula, scope))
 
     def close(self) -> tuple[Fact, ...]:
-        """All facts, once nothing more is asked. What is told of distances brings forth others: of those it is told
-        once, or twice where it is to be thorough."""
+        """Return all facts, after all goals are encoded. Lemmas about distances introduce new distances: for these,
+        lemmas are added once, or twice if `thorough`."""
         for _ in range(3 if self.thorough else 2):
             many = len(self.room.facts)
             self.room.instantiate()
@@ -283,8 +284,7 @@ class Stage:
         return tuple(self.room.facts)
 
     def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
-        """Which terms are which variables, of the robots that are spoken of: for counterexamples, and so not where
-        little is told."""
+        """Return the variables of the robots that occur, as terms, for counterexamples; none with detail "little"."""
         if self.brief:
             return ()
         lists, found = self.encoder.lists, []
@@ -300,7 +300,7 @@ class Stage:
 
 
 class _Nowhere:
-    """No state: for what is said of params alone."""
+    """No state: for formulas that read params alone."""
 
     types: Mapping[Key, Type] = {}
     moment = ""
@@ -310,14 +310,14 @@ class _Nowhere:
 
 
 def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
-    """The names in an axiom that stand for all values; the calls in it that are made of all of them."""
+    """Return the free names of an axiom, and the calls in it whose arguments include all of them."""
     free = decl.free(axiom)
     calls = [n for n in walk(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
     return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:
-    """Whether a quantifier over robots stands within another."""
+    """Return whether a quantifier over robots stands within another one."""
     for node in walk(formula):
         if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
             return around or _pairs(node.body, True)
@@ -325,7 +325,7 @@ def _pairs(formula: ir.Expr, around: bool = False) -> bool:
 
 
 def mentioned(formula: Part) -> Iterator[Key]:
-    """The variables that a formula or a block reads or writes."""
+    """Yield the variables that a formula or a block reads or writes."""
     for node in walk(formula):
         match node:
             case ir.LocalOf(name) | ir.LocalRead(name) | stmt.LocalPlace(name):

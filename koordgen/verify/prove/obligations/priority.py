@@ -1,7 +1,7 @@
-"""Facts that `priority:` blocks add to the obligations of an event.
+"""Facts from `priority:` blocks for the obligations of an event.
 
-An event runs only where the guard of every earlier event of its block has a value and is false, on what the robot sees
-at the round's start: its own variables, ports and slots, which only this robot changes, and the store as it was then.
+An event runs only if the guard of every earlier event of its block has a value and is false, evaluated on what the
+robot sees at the round's start: its own variables, ports and slots, which only this robot changes, and the store then.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def assume_priority(stage: Stage, event: decl.Event, own: Term, now: State, begun: State) -> None:
-    """Add as facts that the earlier guards of the event's block have a value and are false for the robot `own`.
+    """Assume that the earlier guards of the event's block have values and are false for the robot `own`.
 
-    `now` is the state in which the robot acts, `begun` the one at the round's start."""
+    `now` is the state in which the robot acts, `begun` the state at the round's start."""
     room = stage.room
     for earlier in stage.setting.program.earlier(event):
         with room.about(f"guard of {earlier.name} (earlier, by priority)", earlier.guard.span.line):

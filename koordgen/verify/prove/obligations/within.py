@@ -1,7 +1,7 @@
-"""What a round can have changed by the time of an event: each robot runs one event in it, at most.
+"""Interference: changes by other robots in a round before an event.
 
-So what only robot j writes is as it was at the round's start, or the guard of an event that writes it held of j then;
-and of a plain event it is what that made of the round's start, where that is to be told.
+Each robot runs at most one event a round. So what only robot j writes is as it was at the round's start, or the guard of an event that writes it held for j then.
+For a plain event and detail "most", it is also the value that the event computes from the round's start.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def changes(stage: Stage, begun: Begun, now: State) -> None:
-    """Told of every robot but the acting one, of its slots and locals."""
+    """Assume for every robot but the acting one how its slots and locals may differ from the round's start."""
     room, program = stage.room, stage.setting.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in stage.setting.types if key[0] in ("local", "slot")]
@@ -33,7 +33,7 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
         wrote: dict[str, Env] = {}
         parts = [
             t.implies(truth(now.of(key, robot)), truth(begun.of(key, robot))) for key in stage.setting.cleared
-        ]  # a command clears `reached`, and nothing else in a round sets it
+        ]  # a command clears a sensor such as `reached`; nothing else within a round sets it
         for key in own:
             same = stage.encoder.lists.same(now.of(key, robot), begun.of(key, robot))
             ran = []
@@ -53,8 +53,9 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
 
 
 def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
-    """What of an event's guard held at the round's start, of a robot that runs the event in the round. A transaction
-    sees what others wrote since: there only what is its own counts. Guards that have priority over it were false."""
+    """Return the parts of an event's guard that held at the round's start for a robot that runs the event in the round.
+    A transaction sees what others wrote since, so only the parts about the robot's own variables count. The guards of
+    events with priority over it were false."""
     frame = Frame(stage.encoder, robot, begun, begun, _no_port, {}, stage.know)
     parts = []
     with stage.room.aside():
@@ -67,9 +68,9 @@ def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
 
 
 def _followed(event: decl.Event, program: decl.Program) -> bool:
-    """Return whether what a robot wrote in an event is a function of what it saw at the round's start: of a transaction
-    it is not, nor what a port answers; a loop's is not known, and contracts hold but where the call is made, also the
-    one in a function."""
+    """Return whether an event's writes are a function of what the robot saw at the round's start. Not so for a
+    transaction, a port's answer, or a loop; nor with extern functions, even within functions, since their contracts
+    hold only where the call is made."""
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
     bodies = tuple([f.block for f in program.functions])
     calls = any(isinstance(n, ir.ExternCall) for n in walk(bodies))

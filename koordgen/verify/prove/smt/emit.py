@@ -1,4 +1,4 @@
-"""The folder that anyone can check offline, with any solver for SMT-LIB: one file an obligation, and a script."""
+"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all of them with any solver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.smtlib import Line, document
 
-# Reads from each file what it expects; whatever else a solver says is no proof.
+# The script reads the expected answer from each file. Any other output of a solver counts as no proof.
 RUN = """\
 #!/bin/sh
 # Checks every obligation of this folder with a solver for SMT-LIB 2.6, and whether it answers what the file expects.
@@ -35,7 +35,7 @@ echo "$all obligations, $wrong not as expected"
 
 
 def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
-    """The files by name. The same obligations give the same bytes."""
+    """Return the files by name. The same obligations give the same bytes."""
     files = {"run.sh": RUN.encode()}
     for obligation in obligations:
         name = file_name(obligation)
@@ -47,5 +47,5 @@ def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
 
 
 def file_name(obligation: Obligation) -> str:
-    """What an obligation's file is called, without its ending."""
+    """Return the name of an obligation's file, without its ending."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", obligation.name).strip("-")
