@@ -1,7 +1,8 @@
 """Interference: changes by other robots in a round before an event.
 
-Each robot runs at most one event a round. So what only robot j writes is as it was at the round's start, or the guard of an event that writes it held for j then.
-For a plain event and detail "most", it is also the value that the event computes from the round's start.
+Each robot runs at most one event a round. So what only robot j writes is as it was at the round's start, or the guard of
+an event that writes it held for j then. For a plain event and detail "most", it is also the value that the event
+computes from the round's start.
 """
 
 from __future__ import annotations
