@@ -410,7 +410,7 @@ class Frame:
                 if key in then and key in orelse:
                     found[key] = pick(condition, then[key], orelse[key])
                 continue
-            a, b = (way[key] if key in way else self.before(key) for way in (then, orelse))
+            a, b = (side[key] if key in side else self.before(key) for side in (then, orelse))
             found[key] = pick(condition, a, b)
         return found
 

@@ -43,9 +43,9 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
                     if event.name not in held:
                         held[event.name] = _guard(stage, begun, event, robot)
                         wrote[event.name] = _wrote(stage, begun, event, robot) if event.name in followed else {}
-                    told = wrote[event.name].get(key)
-                    as_told = t.TRUE if told is None else stage.encoder.lists.same(now.of(key, robot), told)
-                    ran.append(t.and_(held[event.name], as_told))
+                    computed = wrote[event.name].get(key)
+                    as_computed = t.TRUE if computed is None else stage.encoder.lists.same(now.of(key, robot), computed)
+                    ran.append(t.and_(held[event.name], as_computed))
             parts.append(t.or_(same, *ran))
         return t.implies(t.and_(room.within(robot), t.not_(acting)), t.all_of(parts))
 
