@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     from koordgen.verify.attack.judge import Contradiction, Followed, Trial
     from koordgen.verify.prove.report.show import Attacks
     from koordgen.verify.prove.report.verdict import Verdict
-    from koordgen.verify.prove.smt.solve import Both, Solver
+    from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 LEAST = 0.001  # seconds for each number of robots that was asked for, however many there are
 
 
 def attacked(
-    program: Program, params: Mapping[str, Expr], found: list[list[Verdict]], solver: Solver | Both, options: Namespace
+    program: Program,
+    params: Mapping[str, Expr],
+    found: list[list[Verdict]],
+    solver: Solver | CrossCheck,
+    options: Namespace,
 ) -> list[Attacks]:
     """Attack the verdicts for each number of robots, for `--attack` seconds in all; return the numbers of states by
     obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is written to a file."""
@@ -38,7 +42,7 @@ def attacked(
 
 
 def _attacked(
-    program: Program, params: Mapping[str, Expr], verdicts: list[Verdict], solver: Solver | Both, seconds: float
+    program: Program, params: Mapping[str, Expr], verdicts: list[Verdict], solver: Solver | CrossCheck, seconds: float
 ) -> tuple[Attacks, Contradiction | None, float]:
     """Attack the verdicts for one number of robots; return also the seconds that this took."""
     from koordgen.verify.prove.report.show import Attacked

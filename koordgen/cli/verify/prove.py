@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from koordgen.lang.source import Source
     from koordgen.verify.prove.report.show import Attacks
     from koordgen.verify.prove.report.verdict import Verdict
-    from koordgen.verify.prove.smt.solve import Both, Solver
+    from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 ALL_QUERIES = 60.0  # seconds, at least
 
@@ -58,7 +58,7 @@ def _total(options: Namespace) -> float:
     return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
-def proved(options: Namespace, solver: Solver | Both) -> int:
+def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
     """Checks, writes and tells what was asked for. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file, fleet_params
     from koordgen.cli.verify.attack import attacked
@@ -84,7 +84,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
 
 
 def asked(
-    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both, seconds: float
+    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
 ) -> list[list[Verdict]]:
     """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm

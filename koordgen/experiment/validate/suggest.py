@@ -18,7 +18,7 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 from koordgen.verify.prove.report.show import suggestion as closing
 from koordgen.verify.prove.report.verdict import Question, prove
-from koordgen.verify.prove.smt.solve import Both, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 STEP = 0.01  # metres: margins are rounded up to it
 MOST_SAID = 140  # characters of a reason
@@ -71,7 +71,7 @@ def suggestions(
     line: int,
     params: Mapping[str, Value],
     samples: Sequence[Sample],
-    solver: Solver | Both,
+    solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
     """In the place of the assumption at that line: its box or a ball about the target, and the ball alone. None where
     it is about something else. Raises SolverMissing.
@@ -100,7 +100,7 @@ def _up(metres: float) -> float:
     return round(math.ceil(metres / STEP - 1e-9) * STEP, 6)
 
 
-def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | Both) -> list[Proved]:
+def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | CrossCheck) -> list[Proved]:
     """With the params as they are built: it is this fleet that was sampled."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
     found = prove(Question(program, None, fixed), solver)

@@ -43,7 +43,7 @@ from koordgen.verify.attack.models import Models
 from koordgen.verify.attack.states import States
 
 if TYPE_CHECKING:
-    from koordgen.verify.prove.smt.solve import Both, Solver
+    from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 SECONDS = 0.05  # of an attack, where nothing else is asked for
 FLEETS = (1, 2, 3, 4)  # robots
@@ -115,7 +115,7 @@ def beginning(state: State) -> Place:
 
 def attack(
     program: decl.Program, proved: Collection[str], robots: int | None = None,
-    params: Mapping[str, ir.Expr] | None = None, solver: Solver | Both | None = None, seconds: float = SECONDS,
+    params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
 ) -> Report:  # fmt: skip
     """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
@@ -165,7 +165,7 @@ def _is_map(node: Node) -> bool:
 class _Search:
     def __init__(
         self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
-        solver: Solver | Both | None, until: float, clock: Clock, seed: int,
+        solver: Solver | CrossCheck | None, until: float, clock: Clock, seed: int,
     ) -> None:  # fmt: skip
         given = tuple([replace(p, default=params[p.name]) if p.name in params else p for p in program.params])
         kept = tuple([p for p in program.properties if p.kind != "invariant" or p.name in proved])

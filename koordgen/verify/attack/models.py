@@ -16,16 +16,16 @@ from koordgen.lang.node import replace
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exact import NotExact
 from koordgen.lang.semantics.state import State
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.scope import OfFleet
-from koordgen.verify.prove.encode.state import Free
+from koordgen.verify.prove.encode.context import ProofContext
+from koordgen.verify.prove.encode.scope import FleetScope
+from koordgen.verify.prove.encode.state import ArbitraryState
 from koordgen.verify.prove.encode.values import Val
-from koordgen.verify.prove.obligations.moment import Setting, Stage
+from koordgen.verify.prove.obligations.part_encoder import PartEncoder, ProofProblem
 from koordgen.verify.prove.report.model import Reading
 from koordgen.verify.prove.report.reading import Reader, Unshowable
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.solve import Both, Solver, SolverMissing
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
 from koordgen.verify.prove.smt.term import Term
 
 QUERY = 2.0  # seconds of one query, at most
@@ -37,7 +37,7 @@ class Models:
     """Source of pre-states of one program whose invariants are all PROVED; `exact` is the same program made exact."""
 
     def __init__(
-        self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | Both,
+        self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | CrossCheck,
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
@@ -54,7 +54,7 @@ class Models:
             t.count_anew()
             try:
                 self.asked[key] = _Asked(self._hypotheses(event, robots))
-            except t.TooLarge as error:
+            except t.EncodingTooLarge as error:
                 self.asked[key] = None
                 self.why = f"what is assumed of a state cannot be written down: {error}"
         asked = self.asked[key]
@@ -70,7 +70,9 @@ class Models:
     def _answered(self, asked: _Asked, more: tuple[Term, ...], robots: int, most: float) -> State | None:
         if asked.useless:
             return None
-        facts = tuple([Fact("a state unlike the last", term, "", 0) for term in (*asked.reader.short(), *more)])
+        facts = tuple(
+            [LabelledFormula("a state unlike the last", term, "", 0) for term in (*asked.reader.short(), *more)]
+        )
         query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
         try:
             answer = self.solver.ask(query, asked.reader.wanted(), most=most)
@@ -102,16 +104,16 @@ class Models:
 
     def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
         """Encode what is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
-        stage = Stage(Setting(self.program, robots, self.params, "usual"))
-        room, setting = stage.room, stage.setting
-        now = Free(room, setting.types)
+        part_encoder = PartEncoder(ProofProblem(self.program, robots, self.params, "usual"))
+        context, problem = part_encoder.context, part_encoder.problem
+        now = ArbitraryState(context, problem.types)
         if event is not None:
-            scope = _Acting(now, room, room.acting("pid"))
-            with room.about(f"guard of {event.name}", event.guard.span.line):
-                room.fact(stage.encoder.term(event.guard, scope))
-        stage.holds(setting.invariants, now)
-        cells = tuple([cell for cell in stage.cells([("before", now)]) if _is_readable(cell.type)])
-        facts = stage.close()
+            scope = _Acting(now, context, context.acting("pid"))
+            with context.about(f"guard of {event.name}", event.guard.span.line):
+                context.fact(part_encoder.encoder.term(event.guard, scope))
+        part_encoder.holds(problem.invariants, now)
+        cells = tuple([cell for cell in part_encoder.cells([("before", now)]) if _is_readable(cell.type)])
+        facts = part_encoder.close()
         traits = 0
         for fact in facts:
             traits |= fact.term.traits
@@ -123,12 +125,12 @@ class Models:
         )  # fmt: skip
 
 
-class _Acting(OfFleet):
+class _Acting(FleetScope):
     """Scope of a guard: the variables of one robot at a round's start. Callable ports answer anything."""
 
-    def __init__(self, state: Free, room: Room, robot: Term) -> None:
+    def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
-        self.room, self.pid = room, robot
+        self.context, self.pid = context, robot
 
     def local(self, name: str) -> Val:
         return self.state.of(("local", name), self.pid)
@@ -137,7 +139,7 @@ class _Acting(OfFleet):
         return self.state.of(("port", name), self.pid)
 
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-        return self.room.any(f"{node.module}.{node.port}", node.type)
+        return self.context.any(f"{node.module}.{node.port}", node.type)
 
 
 def _is_readable(type_: Type) -> bool:

@@ -12,7 +12,7 @@ import pytest
 from koordgen.cli import main
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.prove.report.verdict import Question, Verdict, prove
-from koordgen.verify.prove.smt.solve import Answer, Outcome
+from koordgen.verify.prove.smt.solve import ObligationResult, SolverAnswer
 from tests.verify.attack.faults import FAULTS, ticks
 from tests.verify.prove.programs import COUNTER, STRONG
 
@@ -40,7 +40,7 @@ def forged(monkeypatch: pytest.MonkeyPatch) -> None:
         found, said = prove(question, solver), []
         names = [v.invariant for v in found]
         for verdict in found:
-            outcomes = tuple([Outcome(o.obligation, Answer("unsat", 0.001)) for o in verdict.outcomes])
+            outcomes = tuple([ObligationResult(o.obligation, SolverAnswer("unsat", 0.001)) for o in verdict.outcomes])
             rests = tuple(
                 [name for name in names if name != verdict.invariant and verdict.invariant != "(well-defined)"]
             )

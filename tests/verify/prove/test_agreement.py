@@ -15,12 +15,12 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.relations import choices
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import applied, initial, run_init
-from koordgen.verify.prove.obligations.generate import obligations, rooms
+from koordgen.verify.prove.obligations.generate import obligation_groups, obligations
 from koordgen.verify.prove.report.explain import invariant_of
 from koordgen.verify.prove.report.model import allowed, failing, made_state
 from koordgen.verify.prove.report.reach import Run
 from koordgen.verify.prove.report.verdict import Question, prove
-from koordgen.verify.prove.smt.solve import Both, Limits, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver
 from tests.verify.explore.random_programs import program
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
@@ -77,7 +77,7 @@ def test_together_obligations_are_answered_as_each_alone_is(tmp_path: Path) -> N
     with Solver("z3", Limits(query=2.0, total=1000.0)) as solver:
         for seed in range(3):
             for robots in (None, 3):
-                made = list(rooms(checked(tmp_path, program(seed)), robots))
+                made = list(obligation_groups(checked(tmp_path, program(seed)), robots))
                 found = solver.ask_all(made)
                 assert [o for o, _ in found] == [o for room in made for o in room]
                 assert all(solver.ask(o).result == answer.result for o, answer in found)
@@ -113,5 +113,5 @@ def test_solvers_agree_on_every_example(example: Path) -> None:
     assert {v.verdict for v in verdicts} == {"PROVED"}
 
 
-def solvers() -> Both:
-    return Both([Solver(name, Limits(query=10.0, total=100_000.0)) for name in ("z3", "cvc5")])
+def solvers() -> CrossCheck:
+    return CrossCheck([Solver(name, Limits(query=10.0, total=100_000.0)) for name in ("z3", "cvc5")])

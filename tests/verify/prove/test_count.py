@@ -63,7 +63,7 @@ invariant X: forall i in ID: x[i] >= 0 and a[i] >= 0
 def made(program: Program, robots: int | None = None) -> Counter[str]:
     """The names of the obligations of invariants, without what tells equal ones apart."""
     kinds = ("base", "event", "environment", "loop")
-    names = [o.name for o in obligations(program, robots, told="little") if o.kind in kinds]
+    names = [o.name for o in obligations(program, robots, detail="little") if o.kind in kinds]
     return Counter(re.sub(r"(-loop-\d+-(?:entry|turn))-\d+$", r"\1", name) for name in names)
 
 

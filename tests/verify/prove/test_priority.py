@@ -133,7 +133,7 @@ def test_a_step_that_breaks_the_order_is_not_shown(tmp_path: Path, solver: Solve
 
     free = checked(tmp_path, HOT)
     ordered = checked(tmp_path, in_one_block(HOT))
-    obligation = next(o for o in obligations(free, 1, told="most") if o.event == "Go" and o.kind == "event")
+    obligation = next(o for o in obligations(free, 1, detail="most") if o.event == "Go" and o.kind == "event")
     reader = Reader(obligation)
     answer = solver.ask(obligation, reader.wanted())
     assert answer.result == "sat"

@@ -11,7 +11,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.node import replace
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from koordgen.verify.prove.smt.term import all_of
 from tests.verify.prove.told import checked, told
@@ -96,8 +96,8 @@ def test_the_same_obligations_each_time() -> None:
 def test_what_little_is_told_follows_from_what_is_told_usually(study: str, solver: Solver) -> None:
     """And of distances the assumptions' consistency is asked with all of it, apart from single events."""
     usual = {o.name: o for o in obligations(program(study))}
-    for o in obligations(program(study), told="little"):
-        all_of_them = Fact("little", all_of([fact.term for fact in o.facts]), o.file, 1)
+    for o in obligations(program(study), detail="little"):
+        all_of_them = LabelledFormula("little", all_of([fact.term for fact in o.facts]), o.file, 1)
         other = replace(usual[o.name], goal=all_of_them, conjuncts=(), expected="unsat")
         assert len(o.facts) <= len(other.facts) and solver.ask(other).result == "unsat"
         if o.kind == "consistency" and not o.event:

@@ -17,7 +17,7 @@ from koordgen.verify.prove.report.explain import invariant_of
 from koordgen.verify.prove.report.model import failing, true, with_values
 from koordgen.verify.prove.report.show import suggestion
 from koordgen.verify.prove.report.verdict import Question, Verdict, prove
-from koordgen.verify.prove.smt.solve import Answer, Limits, Solver
+from koordgen.verify.prove.smt.solve import Limits, Solver, SolverAnswer
 from tests.verify.prove.programs import CONTRADICTION, COUNTER, CUBES, DIVIDES, LINE, STRONG, TOKEN
 
 
@@ -197,13 +197,13 @@ class Lying(Solver):
         super().__init__("z3", Limits())
         self.result, self.about = result, about
 
-    def ask(self, obligation, wanted=(), core=False, most=0.0) -> Answer:  # type: ignore[no-untyped-def]
+    def ask(self, obligation, wanted=(), core=False, most=0.0) -> SolverAnswer:  # type: ignore[no-untyped-def]
         if obligation.kind == "consistency" and self.about != "consistency":
-            return Answer("sat", 0.0)
+            return SolverAnswer("sat", 0.0)
         if self.about in obligation.name:
             values = tuple([0] * len(wanted)) if self.result == "sat" else ()
-            return Answer(self.result, 0.0, "it said so", values)  # type: ignore[arg-type]
-        return Answer("unsat", 0.0)
+            return SolverAnswer(self.result, 0.0, "it said so", values)  # type: ignore[arg-type]
+        return SolverAnswer("unsat", 0.0)
 
     def ask_all(self, rooms):  # type: ignore[no-untyped-def]
         return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
@@ -338,7 +338,7 @@ def test_the_ledger_tells_lemmas_from_approximations() -> None:
 def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
     program = check_file(str(Path(__file__).parents[3] / "examples/task/separation.koord")).program
     obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
-    late = Answer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
+    late = SolverAnswer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
     said = doubt(program, obligation, late, "")
     assert said.startswith("Clear-Assign (") and "--timeout may help. It is linear" in said
     assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said

@@ -39,7 +39,7 @@ def told(program: Program, solver: Solver, robots: int | None = None) -> set[str
 def _asked(program: Program, solver: Solver, robots: int | None) -> list[tuple[Obligation, str]]:
     """As the command asks: with little told at first, and what fails so with what is told usually."""
     found: list[tuple[Obligation, str]] = [
-        (o, solver.ask(o).result) for o in generate.obligations(program, robots, told="little")
+        (o, solver.ask(o).result) for o in generate.obligations(program, robots, detail="little")
     ]
     if all(result == o.expected for o, result in found):
         return found

@@ -6,10 +6,10 @@ from typing import Protocol
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.geometry import Geometry
 from koordgen.verify.prove.encode.lists import Lists
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.encode.values import FleetValue, Val
 from koordgen.verify.prove.smt.term import Term
 
 
@@ -20,7 +20,7 @@ class Scope(Protocol):
     temps: dict[str, Val]
 
     def slot(self, name: str, index: Term) -> Val: ...
-    def slots(self, name: str) -> Fleet: ...
+    def slots(self, name: str) -> FleetValue: ...
     def cell(self, name: str) -> Val: ...
     def local(self, name: str) -> Val: ...
     def port(self, name: str, primed: bool) -> Val: ...
@@ -33,7 +33,7 @@ class ExprEncoder(Protocol):
     """Encoder of expressions, as builtins, sums and quantifiers call it. `strict`: a quantifier demands that its
     instances have values."""
 
-    room: Room
+    context: ProofContext
     lists: Lists
     geometry: Geometry
     strict: bool

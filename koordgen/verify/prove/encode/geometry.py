@@ -11,11 +11,11 @@ order. That order is a heuristic: pairs that are equal, but not known to be when
 from __future__ import annotations
 
 from koordgen.lang.ir.types import POINT, list_of
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.lists import Lists
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Choice, Collection, Known, Val, build
+from koordgen.verify.prove.encode.values import Collection, ConditionalCollection, EnumeratedCollection, Val, build
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.term import Function, Term
+from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
 _ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
 DISTANCES = "distances of points: never negative, zero between equal points only, exact by squares where that is needed"
@@ -30,8 +30,8 @@ Triple = tuple[Term, ...]
 class Geometry:
     """Distances that occur in one context."""
 
-    def __init__(self, room: Room, lists: Lists) -> None:
-        self.room, self.lists = room, lists
+    def __init__(self, context: ProofContext, lists: Lists) -> None:
+        self.context, self.lists = context, lists
         self.distances: dict[tuple[Triple, Triple], Term] = {}
         self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # distances that the program itself mentions
         self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
@@ -66,15 +66,15 @@ class Geometry:
             return _NOTHING
         found = self.distances.get((p, q))
         if found is None:
-            self.room.note(DISTANCES)
-            name = Function("distance@points", (t.REAL,) * 6, t.REAL)
+            self.context.note(DISTANCES)
+            name = FunctionSymbol("distance@points", (t.REAL,) * 6, t.REAL)
             one, other = self._ordered(p, q)
             found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *one, *other)
-            with self.room.about("distance of two points", 0):
-                self.room.fact(t.at_most(_NOTHING, found))
-                self.room.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
+            with self.context.about("distance of two points", 0):
+                self.context.fact(t.at_most(_NOTHING, found))
+                self.context.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
                 if not self.brief:
-                    self.room.fact(t.equals(found, t.apply(name, *q, *p)))
+                    self.context.fact(t.equals(found, t.apply(name, *q, *p)))
         return found
 
     def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
@@ -84,18 +84,18 @@ class Geometry:
 
     def _rank(self, term: Term) -> int:
         """Return the place of the last robot in a term, in the order of the context's robots; -1 without a robot."""
-        if isinstance(term, t.Value):
+        if isinstance(term, t.LiteralTerm):
             return -1
         found = self.ranks.get(term)
         if found is None:
-            own = list(self.room.indices).index(term) if term in self.room.indices else -1
+            own = list(self.context.indices).index(term) if term in self.context.indices else -1
             found = self.ranks[term] = max([own, *map(self._rank, term.args)])
         return found
 
     def path_distance(self, a: Collection, b: Collection) -> Term:
         """Return the distance of two paths, in metres. For a path without points it is infinite: an unknown number."""
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Choice):
+            if isinstance(one, ConditionalCollection):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
                 return t.ite(one.condition, then, orelse)
         p, q = self._point(a), self._point(b)
@@ -111,8 +111,8 @@ class Geometry:
         return self._apart(first, second)
 
     def _point(self, path: Collection) -> Triple | None:
-        one = isinstance(path, Known) and len(path.items) == 1
-        return self.lists.leaves(path.items[0]) if one and isinstance(path, Known) else None
+        one = isinstance(path, EnumeratedCollection) and len(path.items) == 1
+        return self.lists.leaves(path.items[0]) if one and isinstance(path, EnumeratedCollection) else None
 
     def _path(self, path: Collection, point: Triple | None) -> Term:
         found = self.lists.term(path)
@@ -126,14 +126,14 @@ class Geometry:
     def _apart(self, p: Term, q: Term) -> Term:
         found = self.paths.get((p, q))
         if found is None:
-            self.room.note(PATHS)
-            name = Function("path_distance@paths", (p.sort, q.sort), t.REAL)
+            self.context.note(PATHS)
+            name = FunctionSymbol("path_distance@paths", (p.sort, q.sort), t.REAL)
             (one,), (other,) = self._ordered((p,), (q,))
             found = self.paths[p, q] = self.paths[q, p] = t.apply(name, one, other)
-            with self.room.about("distance of two paths", 0):
-                self.room.fact(t.at_most(_NOTHING, found))
+            with self.context.about("distance of two paths", 0):
+                self.context.fact(t.at_most(_NOTHING, found))
                 if not self.brief:
-                    self.room.fact(t.equals(found, t.apply(name, q, p)))
+                    self.context.fact(t.equals(found, t.apply(name, q, p)))
         return found
 
     def _from_point(self, point: Triple, q: Term) -> Term | None:
@@ -152,7 +152,7 @@ class Geometry:
 
     def lemmas(self, exact: bool) -> None:
         """Add facts about the distances that occur; facts by squares about all of them if `exact`."""
-        with self.room.about("distances of paths", 0):
+        with self.context.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
                 round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
                 if round_ in self.done:
@@ -169,7 +169,7 @@ class Geometry:
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
         """A path is at most as far away as its first and its last point; one of a single point exactly as far."""
-        path, fact = self.others[p], self.room.fact
+        path, fact = self.others[p], self.context.fact
         long = self.lists.length(path)
         some, one = t.less(_ZERO, long), t.equals(long, _ONE)
         first = self.lists.leaves(self.lists.element(path, _ZERO))
@@ -197,7 +197,7 @@ class Geometry:
         for single in list(self.points) if q in self.others else ():
             there, back = self.paths.get((single, p)), self.paths.get((single, q))
             if there is not None and back is not None:
-                self.room.fact(t.at_most(found, t.add(there, back)))
+                self.context.fact(t.at_most(found, t.add(there, back)))
 
     def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
         """A path of one point near another point: their distances from a path differ by at most that between them."""
@@ -206,7 +206,7 @@ class Geometry:
             there = self._from_point(other, q)
             if there is not None:
                 bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
-                self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
+                self.context.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
 
     def _squares(self) -> None:
         for (p, q), found in list(self.distances.items()):
@@ -215,15 +215,15 @@ class Geometry:
                 gaps = [t.subtract(x, y) for x, y in zip(p, q, strict=True)]
                 squares = [t.multiply(gap, gap) for gap in gaps]
                 whole = t.add(t.add(squares[0], squares[1]), squares[2])
-                self.room.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
+                self.context.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
 
 
 def _equal(p: Triple, q: Triple) -> Term:
     return t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
 
 
-def _single(point: Triple) -> Known:
-    return Known((build(POINT, iter(point)),), list_of(POINT))
+def _single(point: Triple) -> EnumeratedCollection:
+    return EnumeratedCollection((build(POINT, iter(point)),), list_of(POINT))
 
 
 def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
@@ -237,5 +237,5 @@ def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
 
 
 def path_of(value: Val) -> Collection:
-    assert not isinstance(value, (tuple, t.Value, t.Apply, t.Op))
+    assert not isinstance(value, (tuple, t.LiteralTerm, t.Apply, t.Op))
     return value

@@ -17,11 +17,11 @@ from koordgen.lang.ir.types import MapOf, Sequence, Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.encode.state import Key
 
-FEW = 8  # most turns of a loop that is unrolled
+MAX_UNROLLED = 8  # most turns of a loop that is unrolled
 
 Loop = stmt.For | stmt.While
-Way = Literal["unrolled", "search", "cut"]
-WayOf = Callable[[Loop], Way]
+LoopEncoding = Literal["unrolled", "search", "cut"]
+EncodingOf = Callable[[Loop], LoopEncoding]
 
 
 def key_of(place: stmt.Place) -> Key:
@@ -60,7 +60,7 @@ def key_read(node: Node) -> Key | None:
 # How a loop is encoded
 
 
-def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
+def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> LoopEncoding:
     """Return the encoding of a loop of an event or of `init`. `known`: the params with fixed values; `robots`: the
     number of robots if each is named by its number, else None.
 
@@ -70,10 +70,10 @@ def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
     """
     if isinstance(loop, stmt.For) and not loop.invariants:
         many = length(loop.values, known, robots)
-        if many is not None and many <= FEW:
+        if many is not None and many <= MAX_UNROLLED:
             return "unrolled"
         inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
-        if is_search(loop) and all(way_of(n, known, robots) != "cut" for n in inner):
+        if is_search(loop) and all(encoding_of(n, known, robots) != "cut" for n in inner):
             return "search"
     return "cut"
 
@@ -86,7 +86,7 @@ def has_loop(block: stmt.Block) -> bool:
 
 def is_search(loop: stmt.For) -> bool:
     """Return whether a loop has no loop-carried variable and the program states no invariant of it."""
-    return not kept_by(loop) and not loop.invariants
+    return not loop_carried(loop) and not loop.invariants
 
 
 def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
@@ -134,7 +134,7 @@ def written(block: stmt.Block) -> dict[Key, None]:
     return {key_of(statement.place): None for statement in statements(block) if isinstance(statement, stmt.Assign)}
 
 
-def kept_by(loop: Loop) -> dict[Key, None]:
+def loop_carried(loop: Loop) -> dict[Key, None]:
     """Return the loop-carried variables: those that a turn may write on a path to the next turn. Not included: what a
     turn writes before it leaves the loop, and the loop's own variables."""
     own = set(temps_of(loop.block))
@@ -193,7 +193,7 @@ def temps_of(block: stmt.Block) -> dict[str, Type]:
     return found
 
 
-def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
+def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
     """Return whether a value after the loop depends on which element left it."""
     for statement in block:
         match statement:
@@ -201,7 +201,7 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
                 if any(isinstance(n, ir.TempRead) and n.name in names for n in walk(value)):
                     return True
             case stmt.If(_, then, orelse):
-                if tells(then, names) or tells(orelse, names):
+                if exposes_element(then, names) or exposes_element(orelse, names):
                     return True
             case stmt.For() | stmt.While() | stmt.Let():
                 return True
@@ -215,7 +215,7 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
 # Writes by the turns of a loop
 
 
-class Write(NamedTuple):
+class LoopWrite(NamedTuple):
     """A statement that writes a variable in a loop, outside of inner loops.
 
     `guards`: the conditions around it, each with the value that it must have. `lets`: the declarations of the loop's
@@ -230,14 +230,14 @@ class Write(NamedTuple):
     sure: bool
 
 
-class Writes:
+class LoopWrites:
     """Statements by which the block of a loop writes its variables, found by the shape of the block."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         self.changed = written(loop.block)
         self.opaque: set[Key] = set()  # written in inner loops
-        self.all: list[Write] = []
+        self.all: list[LoopWrite] = []
         self._walk(loop.block, (), (), True)
 
     def _walk(
@@ -247,7 +247,7 @@ class Writes:
         for statement in block:
             match statement:
                 case stmt.Assign(place, value):
-                    write = Write(key_of(place), value, guards, lets, (id(block), segment), sure)
+                    write = LoopWrite(key_of(place), value, guards, lets, (id(block), segment), sure)
                     self.all.append(write)
                 case stmt.Let():
                     lets = (*lets, statement)
@@ -265,11 +265,11 @@ class Writes:
                 case _:
                     assert_never(statement)
 
-    def of(self, key: Key) -> list[Write]:
+    def of(self, key: Key) -> list[LoopWrite]:
         """Return the statements that write a variable; none if an inner loop writes it, too."""
         return [] if key in self.opaque else [write for write in self.all if write.key == key]
 
-    def only(self, key: Key) -> Write | None:
+    def only(self, key: Key) -> LoopWrite | None:
         """Return the only statement that writes a variable; None if there are several."""
         found = self.of(key)
         return found[0] if len(found) == 1 else None
@@ -303,7 +303,7 @@ def leaves(part: stmt.Stmt) -> bool:
     return any(isinstance(s, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for s in statements((part,)))
 
 
-def step_of(write: Write) -> int | None:
+def step_of(write: LoopWrite) -> int | None:
     """Return the constant that a statement adds to its own variable; None for any other statement."""
     match write.value:
         case ir.Binary("+" | "-" as op, left, right):
@@ -315,31 +315,31 @@ def step_of(write: Write) -> int | None:
     return None
 
 
-class Bound(NamedTuple):
+class RunningExtreme(NamedTuple):
     """A statement that keeps the least or greatest value of an expression over the turns in which `guards` hold."""
 
-    write: Write
+    write: LoopWrite
     value: ir.Expr
     guards: tuple[tuple[ir.Expr, bool], ...]
     least: bool
 
 
-def bound_of(write: Write) -> Bound | None:
+def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
     """Recognise `if value < v: v = value` and `v = min(v, value)`, and likewise the greatest; None for others."""
     match write.value:
         case ir.Builtin("min" | "max" as name, (left, right)):
             for own, other in ((left, right), (right, left)):
                 if key_read(own) == write.key:
-                    return Bound(write, other, write.guards, name == "min")
+                    return RunningExtreme(write, other, write.guards, name == "min")
     for place, (condition, held) in enumerate(write.guards):
         if not held or not isinstance(condition, ir.Compare) or condition.op not in ("<", "<=", ">", ">="):
             continue
         less = condition.op in ("<", "<=")
         rest = write.guards[:place] + write.guards[place + 1 :]
         if condition.left == write.value and key_read(condition.right) == write.key:
-            return Bound(write, write.value, rest, less)
+            return RunningExtreme(write, write.value, rest, less)
         if condition.right == write.value and key_read(condition.left) == write.key:
-            return Bound(write, write.value, rest, not less)
+            return RunningExtreme(write, write.value, rest, not less)
     return None
 
 

@@ -9,10 +9,10 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence, Type
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.encoder import ExprEncoder, Scope
 from koordgen.verify.prove.encode.geometry import path_of
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Fleet, Known, Val
+from koordgen.verify.prove.encode.values import EnumeratedCollection, FleetValue, Val
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
@@ -20,14 +20,14 @@ _ZERO, _ONE = t.integer(0), t.integer(1)
 _EXPANDED = 8  # largest domain whose elements are enumerated
 
 
-class Domain(NamedTuple):
+class IterationDomain(NamedTuple):
     """Domain of a quantifier or a `for`. Its places are ints: `start`, `start + step` and so on, before `stop`.
     `inside`: whether an int is a place of it; `element`: the element at a place; `listed`: all elements, if they can be
     enumerated. `robots`, `places`: whether its places may name robots, or be places in lists."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
-    few: list[Val] | None
+    listed: list[Val] | None
     robots: bool
     places: bool
     start: Term
@@ -68,7 +68,7 @@ def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
         kept, scope.temps = scope.temps, {**temps, node.name: element}
         around, e.strict = e.strict, strict
         try:
-            with e.room.grant(element if isinstance(node.domain, ir.Ids) else None):
+            with e.context.grant(element if isinstance(node.domain, ir.Ids) else None):
                 return e.parts(node.body, scope)
         finally:
             scope.temps, e.strict = kept, around
@@ -79,20 +79,20 @@ def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
     def has_value(index: Term) -> Term:
         return t.implies(over.inside(index), evaluated(over.element(index))[0])
 
-    if e.strict and over.few is not None:
-        e.room.demand(t.all_of([evaluated(element)[0] for element in over.few]), "instances", node.span.line)
+    if e.strict and over.listed is not None:
+        e.context.demand(t.all_of([evaluated(element)[0] for element in over.listed]), "instances", node.span.line)
     elif e.strict and _may_fail(e, node, scope):
-        has = proxy(e.room, has_value, node.name, over.robots, over.places)
-        e.room.demand(has, "instances", node.span.line)
-    if over.few is not None:
-        parts = [holds(element) for element in over.few]
+        has = proxy(e.context, has_value, node.name, over.robots, over.places)
+        e.context.demand(has, "instances", node.span.line)
+    if over.listed is not None:
+        parts = [holds(element) for element in over.listed]
         return t.all_of(parts) if every else t.any_of(parts)
 
     def instance(index: Term) -> Term:
         held = holds(over.element(index))
         return t.implies(over.inside(index), held if every else t.not_(held))
 
-    found = proxy(e.room, instance, node.name, over.robots, over.places)
+    found = proxy(e.context, instance, node.name, over.robots, over.places)
     return found if every else t.not_(found)
 
 
@@ -108,7 +108,7 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
     for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
             named.add(part.name)
-    named.update(name for name, value in scope.temps.items() if value in e.room.granted and name != node.name)
+    named.update(name for name, value in scope.temps.items() if value in e.context.granted and name != node.name)
     for part in walk(node.body):
         match part:
             case ir.Binary(op) if op in _PARTIAL:
@@ -125,56 +125,64 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
     return False
 
 
-def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
+def proxy(
+    context: ProofContext, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False
+) -> Term:
     """Return a truth value that is equivalent to the truth of every instance.
 
     One direction is a witness `some` for which the instance fails if the value is false. The other is instantiated."""
-    some = room.new(name, t.INT)
+    some = context.new(name, t.INT)
     first = instance(some)
-    found = room.new(f"forall {name}", t.BOOL)
-    room.element(some, robots, places)
-    room.fact(t.or_(found, t.not_(first)), "a witness for which it does not hold")
-    room.for_all(lambda index: t.implies(found, instance(index)), robots, places)
+    found = context.new(f"forall {name}", t.BOOL)
+    context.element(some, robots, places)
+    context.fact(t.or_(found, t.not_(first)), "a witness for which it does not hold")
+    context.for_all(lambda index: t.implies(found, instance(index)), robots, places)
     return found
 
 
-def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
+def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
     """Return whether some robot's value is this item."""
-    room = e.room
+    context = e.context
     key = (xs.name, *e.lists.leaves(item))
-    if key not in room.nowhere:
-        room.nowhere[key] = proxy(
-            room, lambda index: t.implies(room.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
+    if key not in context.absent:
+        context.absent[key] = proxy(
+            context, lambda index: t.implies(context.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
         )
-    return t.not_(room.nowhere[key])
+    return t.not_(context.absent[key])
 
 
-def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> Domain:
+def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> IterationDomain:
     """Return the domain of a quantifier or a loop. `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
-    few = None
-    if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
-        few = [_key(item, node.type) for item in xs.items]
-    room, long, fleet = e.room, e.lists.length(xs), isinstance(xs, Fleet)
+    listed = None
+    if (
+        isinstance(xs, EnumeratedCollection)
+        and len(xs.items) <= _EXPANDED
+        and (len(xs.items) < 2 or not _unordered(node.type))
+    ):
+        listed = [_key(item, node.type) for item in xs.items]
+    context, long, fleet = e.context, e.lists.length(xs), isinstance(xs, FleetValue)
 
     def inside(index: Term) -> Term:
-        if fleet and room.indices.get(index, False):
+        if fleet and context.indices.get(index, False):
             return t.TRUE
         return t.and_(t.at_most(_ZERO, index), t.less(index, long))
 
-    return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
+    return IterationDomain(
+        inside, lambda i: _key(e.lists.element(xs, i), node.type), listed, fleet, not fleet, _ZERO, long, 1
+    )
 
 
-def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) -> Domain:
+def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) -> IterationDomain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
-    if stop is e.room.size and e.room.robots is None:
+    if stop is e.context.size and e.context.robots is None:
         high = None  # robots without numbers are never enumerated
-    few: list[Val] | None = None
+    listed: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
-        few = [t.integer(i) for i in range(int(low), int(high), node.step)]
+        listed = [t.integer(i) for i in range(int(low), int(high), node.step)]
     first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
     step = t.integer(abs(node.step))
 
@@ -184,9 +192,9 @@ def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) 
             return within
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
-    whole = start is _ZERO and stop is e.room.size
-    robots = names_robots(body, name) or _speaks_of(start, e.room.size) or _speaks_of(stop, e.room.size)
-    return Domain(inside, _int, few, robots, not whole, start, stop, node.step)
+    whole = start is _ZERO and stop is e.context.size
+    robots = names_robots(body, name) or _speaks_of(start, e.context.size) or _speaks_of(stop, e.context.size)
+    return IterationDomain(inside, _int, listed, robots, not whole, start, stop, node.step)
 
 
 def _speaks_of(term: Term, part: Term) -> bool:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
-from koordgen.verify.prove.encode.state import State, slots
-from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.encode.state import SymbolicState, slots
+from koordgen.verify.prove.encode.values import FleetValue, Val
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 
-class NotHere(Exception):
+class UnknownAnswer(Exception):
     """An assumption asks a callable port whose answer is unknown in this scope."""
 
 
-class OfFleet:
+class FleetScope:
     """Scope of a property: the shared store, and every robot's locals and ports."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: SymbolicState) -> None:
         self.state = state
         self.pid = t.integer(-1)
         self.temps: dict[str, Val] = {}
@@ -25,7 +25,7 @@ class OfFleet:
     def slot(self, name: str, index: Term) -> Val:
         return self.state.of(("slot", name), index)
 
-    def slots(self, name: str) -> Fleet:
+    def slots(self, name: str) -> FleetValue:
         return slots(self.state, name)
 
     def cell(self, name: str) -> Val:
@@ -44,15 +44,15 @@ class OfFleet:
         raise InternalError("a property reads a port without naming its robot")
 
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-        raise NotHere
+        raise UnknownAnswer
 
 
-class OfRobot(OfFleet):
+class RobotScope(FleetScope):
     """Scope of an assumption about one robot: its ports before a step, and its primed ports at an instant of the step.
     `answers`: answers of its callable ports, by port and arguments."""
 
     def __init__(
-        self, before: State, after: State, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]
+        self, before: SymbolicState, after: SymbolicState, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]
     ) -> None:
         super().__init__(before)
         self.after, self.pid, self.answers = after, robot, answers
@@ -63,5 +63,5 @@ class OfRobot(OfFleet):
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
         found = self.answers.get((f"{node.module}.{node.port}", args))
         if found is None:
-            raise NotHere
+            raise UnknownAnswer
         return found

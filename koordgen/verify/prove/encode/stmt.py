@@ -16,27 +16,27 @@ from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.expr import Encoder
 from koordgen.verify.prove.encode.loop import (
-    Bound,
+    EncodingOf,
     Loop,
-    Way,
-    WayOf,
-    Write,
-    Writes,
-    bound_of,
+    LoopEncoding,
+    LoopWrite,
+    LoopWrites,
+    RunningExtreme,
     conjuncts,
+    exposes_element,
     has_loop,
     has_next_turn,
     is_search,
-    kept_by,
     key_of,
+    loop_carried,
+    running_extreme_of,
     step_of,
-    tells,
 )
-from koordgen.verify.prove.encode.quantifier import Domain, domain, names_robots
-from koordgen.verify.prove.encode.state import Key, State, Written, slots
-from koordgen.verify.prove.encode.values import Fleet, Val, pick, truth
+from koordgen.verify.prove.encode.quantifier import IterationDomain, domain, names_robots
+from koordgen.verify.prove.encode.state import Key, SymbolicState, UpdatedState, slots
+from koordgen.verify.prove.encode.values import FleetValue, Val, as_term, pick
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.term import Term
 
 Env = dict[Key, Val]
@@ -51,14 +51,14 @@ class Exit:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
-class Place(NamedTuple):
+class ProgramPoint(NamedTuple):
     """One program point of an event while it is encoded: the values there, the path condition, the position, and the
     demands of the operations before it."""
 
-    frame: Frame
+    frame: SymbolicFrame
     path: Term
     position: int
-    demands: tuple[Fact, ...]
+    demands: tuple[LabelledFormula, ...]
 
     @property
     def reached(self) -> Term:
@@ -66,48 +66,49 @@ class Place(NamedTuple):
         return t.all_of([self.path, *[demand.term for demand in self.demands]])
 
 
-class Head:
+class LoopHead:
     """Head of one loop that is cut. `entry`: the point before the first turn. `turn`: the head before any turn or after
     the last one. `back`: the end of a turn that leads to the head again; None if no turn does.
     """
 
-    def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: Place) -> None:
+    def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: ProgramPoint) -> None:
         self.loop, self.kept, self.entry = loop, kept, entry
         self.turn = entry
-        self.back: Place | None = None
+        self.back: ProgramPoint | None = None
 
 
-class Frame:
+class SymbolicFrame:
     """Symbolic execution of one effect or function. `now`: the state that is written; `seen`: the state whose shared
     variables are read; both None in a function. `types`: those of the run's own variables. `know` receives each loop
-    head and adds the facts that hold there. `way` decides how loops are encoded; None: by their number of elements."""
+    head and adds the facts that hold there. `encoding` chooses the encoding of a loop; without it, the number of its
+    elements does."""
 
     def __init__(
-        self, encoder: Encoder, pid: Term, now: State | None, seen: State | None,
+        self, encoder: Encoder, pid: Term, now: SymbolicState | None, seen: SymbolicState | None,
         ask: Callable[[ir.PortCall, tuple[Val, ...]], Val], types: Mapping[str, Type],
-        know: Callable[[Head], None], way: WayOf | None = None,
+        know: Callable[[LoopHead], None], encoding: EncodingOf | None = None,
     ) -> None:  # fmt: skip
-        self.e, self.room = encoder, encoder.room
+        self.e, self.context = encoder, encoder.context
         self.pid, self.now, self.seen = pid, now, seen
-        self.ask, self.types, self.know, self.way = ask, types, know, way
+        self.ask, self.types, self.know, self.encoding = ask, types, know, encoding
         self.env: Env = {}
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
-        self.heads: list[Head] = []
+        self.heads: list[LoopHead] = []
         self.brief = False  # add fewer facts about the turns of loops
 
-    def place(self) -> Place:
+    def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
-        copy = Frame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.way)
+        copy = SymbolicFrame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.encoding)
         copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
-        return Place(copy, t.all_of(self.room.path), self.room.position, tuple(self.room.demands))
+        return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
-    def state(self) -> Written:
+    def state(self) -> UpdatedState:
         """Return the fleet's state if the event ended here. Its unique name distinguishes the variables in it."""
         assert self.now is not None
         writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
-        self.room.fresh += 1
-        return Written(self.room, self.now, self.pid, writes, f"@place{self.room.fresh}")
+        self.context.fresh += 1
+        return UpdatedState(self.context, self.now, self.pid, writes, f"@place{self.context.fresh}")
 
     # Reads
 
@@ -132,12 +133,12 @@ class Frame:
     def slot(self, name: str, index: Term) -> Val:
         return self.slots(name).slot(index)
 
-    def slots(self, name: str) -> Fleet:
+    def slots(self, name: str) -> FleetValue:
         assert self.seen is not None
         written = {key: value for key, value in self.env.items() if key == ("slot", name)}
-        versions = [(self.room.version(value), self.room.version(self.pid)) for value in written.values()]
-        moment = f"{self.seen.moment}@{versions[0][0]}@{versions[0][1]}" if versions else self.seen.moment
-        return slots(Written(self.room, self.seen, self.pid, written, moment), name)
+        versions = [(self.context.version(value), self.context.version(self.pid)) for value in written.values()]
+        state_name = f"{self.seen.state_name}@{versions[0][0]}@{versions[0][1]}" if versions else self.seen.state_name
+        return slots(UpdatedState(self.context, self.seen, self.pid, written, state_name), name)
 
     def local_of(self, name: str, robot: Term) -> Val:
         raise AssertionError("an effect reads its own robot's")
@@ -152,7 +153,7 @@ class Frame:
         for place, statement in enumerate(block):
             if live is t.FALSE and not has_loop(block[place:]):
                 break
-            with self.room.under(live):
+            with self.context.under(live):
                 live = t.and_(live, self.statement(statement))
         return live
 
@@ -195,19 +196,19 @@ class Frame:
             self.env[key] = value
 
     def leave(self, kind: str, value: Val | None = None) -> Term:
-        self.exits.append(Exit(kind, self.room.path, self.snapshot(), value))
+        self.exits.append(Exit(kind, self.context.path, self.snapshot(), value))
         return t.FALSE
 
     def branch(self, node: stmt.If) -> Term:
         condition = self.e.term(node.condition, self)
-        if isinstance(condition, t.Value) and not has_loop(node.orelse if condition.value else node.then):
+        if isinstance(condition, t.LiteralTerm) and not has_loop(node.orelse if condition.value else node.then):
             return self.block(node.then if condition.value else node.orelse)
         before = self.snapshot()
-        with self.room.under(condition):
+        with self.context.under(condition):
             then = self.block(node.then)
         after = self.snapshot()
         self.restore(before)
-        with self.room.under(t.not_(condition)):
+        with self.context.under(t.not_(condition)):
             orelse = self.block(node.orelse)
         if orelse is t.FALSE:
             self.restore(after)
@@ -219,15 +220,15 @@ class Frame:
 
     def loop(self, loop: Loop) -> Term:
         around, self.exits = self.exits, []
-        start, depth = self.snapshot(), len(self.room.path)
+        start, depth = self.snapshot(), len(self.context.path)
         over = None
         if isinstance(loop, stmt.For):
             over = domain(self.e, loop.values, self, (loop.block, loop.invariants), loop.names[0])
-        way = self.way_of(loop, over)
-        if way == "unrolled":
-            assert isinstance(loop, stmt.For) and over is not None and over.few is not None
-            live = self.unrolled(loop, over.few)
-        elif way == "search":
+        encoding = self.encoding_of(loop, over)
+        if encoding == "unrolled":
+            assert isinstance(loop, stmt.For) and over is not None and over.listed is not None
+            live = self.unrolled(loop, over.listed)
+        elif encoding == "search":
             assert isinstance(loop, stmt.For) and over is not None
             live = self.search(loop, over)
         else:
@@ -242,12 +243,12 @@ class Frame:
         self.restore({k: v for k, v in self.snapshot().items() if k[0] != "temp" or k in start})
         return live
 
-    def way_of(self, loop: Loop, over: Domain | None) -> Way:
-        if self.way is not None:
-            return self.way(loop)
+    def encoding_of(self, loop: Loop, over: IterationDomain | None) -> LoopEncoding:
+        if self.encoding is not None:
+            return self.encoding(loop)
         if over is None or not isinstance(loop, stmt.For) or loop.invariants:
             return "cut"
-        if over.few is not None:
+        if over.listed is not None:
             return "unrolled"
         inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
         return "search" if all(isinstance(s, stmt.For) and is_search(s) for s in (loop, *inner)) else "cut"
@@ -255,7 +256,7 @@ class Frame:
     def unrolled(self, loop: stmt.For, elements: list[Val]) -> Term:
         live: Term = t.TRUE
         for element in elements:
-            with self.room.under(live):
+            with self.context.under(live):
                 live = t.and_(live, self.run(loop, element))
             if live is t.FALSE and not has_loop(loop.block):
                 break
@@ -266,7 +267,7 @@ class Frame:
         if isinstance(loop, stmt.For):
             assert element is not None
             self.take(loop, element)
-        depth = len(self.room.path)
+        depth = len(self.context.path)
         live = self.block(loop.block)
         for left in [e for e in self.exits if e.kind == "continue"]:
             condition = t.all_of(left.path[depth:])
@@ -280,76 +281,76 @@ class Frame:
         assert isinstance(parts, tuple)
         self.temps.update(zip(loop.names, parts, strict=True))
 
-    def search(self, loop: stmt.For, over: Domain) -> Term:
+    def search(self, loop: stmt.For, over: IterationDomain) -> Term:
         """Encode a loop whose turns change nothing: the first element that leaves the loop decides."""
-        room, start = self.room, self.snapshot()
-        found, first = room.new("found", t.BOOL), room.new(loop.names[0].split("@")[0], t.INT)
-        path, depth = room.path, len(room.path)
-        if not tells(loop.block, loop.names):
-            room.ignored.add(first)
+        context, start = self.context, self.snapshot()
+        found, first = context.new("found", t.BOOL), context.new(loop.names[0].split("@")[0], t.INT)
+        path, depth = context.path, len(context.path)
+        if not exposes_element(loop.block, loop.names):
+            context.ignored.add(first)
 
         def leaves(index: Term) -> Term:
             self.restore(start)
-            with room.under(over.inside(index)):
+            with context.under(over.inside(index)):
                 self.run(loop, over.element(index))
             return t.any_of([t.all_of(e.path[depth:]) for e in self.exits])
 
-        many = len(room.demands)
+        many = len(context.demands)
         left = leaves(first)
         exits = self.exits
-        room.fact(t.implies(found, left), "what a loop looks for", loop.span.line)
+        context.fact(t.implies(found, left), "what a loop looks for", loop.span.line)
 
         def instance(index: Term) -> Term:
-            kept, around = room.path, (self.exits, self.snapshot())
-            room.path, self.exits = path, []
+            kept, around = context.path, (self.exits, self.snapshot())
+            context.path, self.exits = path, []
             try:
-                with room.aside():
+                with context.separate_demands():
                     here = leaves(index)
             finally:
-                room.path, self.exits = kept, around[0]
+                context.path, self.exits = kept, around[0]
                 self.restore(around[1])
             return t.implies(here, t.and_(found, over.not_after(first, index)))
 
-        with room.about("what a loop looks for", loop.span.line):
-            room.element(first, over.robots, over.places and first not in room.ignored)
-            room.for_all(instance, over.robots, over.places)
-        if len(room.demands) > many:
-            del room.demands[many:]
+        with context.about("what a loop looks for", loop.span.line):
+            context.element(first, over.robots, over.places and first not in context.ignored)
+            context.for_all(instance, over.robots, over.places)
+        if len(context.demands) > many:
+            del context.demands[many:]
             self.demanded(loop, over, found, first, start)
         self.restore(start)
         self.exits = [Exit(e.kind, (*e.path[:depth], found, *e.path[depth:]), e.env, e.value) for e in exits]
         return t.not_(found)
 
-    def demanded(self, loop: stmt.For, over: Domain, found: Term, first: Term, start: Env) -> None:
+    def demanded(self, loop: stmt.For, over: IterationDomain, found: Term, first: Term, start: Env) -> None:
         """Demand that each turn that runs has a value: those up to and including the one that leaves the loop."""
-        any_ = self.room.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
+        any_ = self.context.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
         self.looked_at(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
         around, self.exits = self.exits, []
         self.restore(start)
-        with self.room.under(taken):
+        with self.context.under(taken):
             self.run(loop, over.element(any_))
         self.exits = around
 
-    def cut(self, loop: Loop, over: Domain | None) -> Term:
+    def cut(self, loop: Loop, over: IterationDomain | None) -> Term:
         """Encode a loop by a cut at its head. What the turns write is havocked and constrained by the facts there. One
         turn from there leads to `back`. If there is no further turn, the loop has ended."""
-        room, index = self.room, None
+        context, index = self.context, None
         if self.now is not None:
             line = loop.span.line
-            room.note(f"line {line}: only invariants and facts about turns are known of what the loop writes")
+            context.note(f"line {line}: only invariants and facts about turns are known of what the loop writes")
         if over is not None:
             self.count(loop, over.start)
-        kept = tuple(kept_by(loop))
-        head = Head(loop, kept, self.place())
-        room.position += 1
+        kept = tuple(loop_carried(loop))
+        head = LoopHead(loop, kept, self.place())
+        context.position += 1
         for key in kept:
-            self.restore({**self.snapshot(), key: room.any(key[1].split("@")[0], self.type_of(key))})
+            self.restore({**self.snapshot(), key: context.any(key[1].split("@")[0], self.type_of(key))})
             if key[0] in ("cell", "port"):
-                self.env["wrote", key[1]] = room.new(f"wrote {key[1]}", t.BOOL)
+                self.env["wrote", key[1]] = context.new(f"wrote {key[1]}", t.BOOL)
         if over is not None:
             assert isinstance(loop, stmt.For)
-            index = room.new(loop.names[0].split("@")[0], t.INT)
+            index = context.new(loop.names[0].split("@")[0], t.INT)
             self.looked_at(index, over, not self.brief or self.now is not None)
             self.count(loop, index)
         head.turn = self.place()
@@ -361,26 +362,26 @@ class Frame:
             assert index is not None
             condition, element = over.ahead(index), over.element(index)
         start = self.snapshot()
-        with room.under(condition):
+        with context.under(condition):
             live = self.run(loop, element)
             if live is not t.FALSE or has_next_turn(loop):  # `count.py` folds no constants, so it decides by the latter
                 if over is not None:
                     assert index is not None
                     self.count(loop, t.add(index, t.integer(over.step)))
-                with room.under(live):
+                with context.under(live):
                     head.back = self.place()
-        room.position += 1
+        context.position += 1
         self.restore(start)
         self.heads.append(head)
         self.know(head)
         return t.not_(condition)
 
-    def looked_at(self, index: Term, over: Domain, told: bool) -> None:
+    def looked_at(self, index: Term, over: IterationDomain, told: bool) -> None:
         """Instantiate universals over robots or places at this index if `told`, else never."""
         if told:
-            self.room.element(index, over.robots, over.places)
+            self.context.element(index, over.robots, over.places)
         else:
-            self.room.ignored.add(index)
+            self.context.ignored.add(index)
 
     def count(self, loop: Loop, index: Term) -> None:
         """Set the variable of a loop over numbers to its next value, as the loop's invariants read it."""
@@ -435,23 +436,23 @@ class Frame:
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
-def facts_of_turns(head: Head, over: Domain | None, index: Term | None, brief: bool) -> None:
+def facts_of_turns(head: LoopHead, over: IterationDomain | None, index: Term | None, brief: bool) -> None:
     """Add the facts known at a loop's head, before any turn or after the last one. `index`: the current place of a
     `for` in `over`. `brief`: add only the facts about possible places, about writes and about counters."""
     turns = _Turns(head, over, index)
-    with turns.room.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
+    with turns.context.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()
         turns.written()
         for key in head.kept:
             turns.counted(key)
         if brief:
             return
-        groups: dict[tuple[int, int], list[Write]] = {}
+        groups: dict[tuple[int, int], list[LoopWrite]] = {}
         for write in turns.writes.all:
             if write.key in head.kept and turns.writes.only(write.key) is write:
                 if over is not None:
                     groups.setdefault(write.group, []).append(write)
-                bound = bound_of(write)
+                bound = running_extreme_of(write)
                 if over is not None and bound is not None:
                     turns.bounded(bound)
                 if over is None:
@@ -461,27 +462,27 @@ def facts_of_turns(head: Head, over: Domain | None, index: Term | None, brief: b
 
 
 class _Turns:
-    def __init__(self, head: Head, over: Domain | None, index: Term | None) -> None:
+    def __init__(self, head: LoopHead, over: IterationDomain | None, index: Term | None) -> None:
         self.head, self.over, self.index = head, over, index
         self.loop = head.loop
         self.before, self.now = head.entry.frame, head.turn.frame
-        self.room = self.now.room
-        self.writes = Writes(self.loop)
+        self.context = self.now.context
+        self.writes = LoopWrites(self.loop)
 
     # Rule "places": the current place of a `for` is in its domain, or is the end of it.
 
     def places(self) -> None:
         if self.over is None or self.index is None:
             return
-        over, index, room = self.over, self.index, self.room
-        room.fact(over.not_after(over.start, index))
+        over, index, context = self.over, self.index, self.context
+        context.fact(over.not_after(over.start, index))
         if abs(over.step) == 1:
-            room.fact(t.or_(t.equals(index, over.start), over.not_after(index, over.stop)))
+            context.fact(t.or_(t.equals(index, over.start), over.not_after(index, over.stop)))
         else:
             last = t.subtract(index, t.integer(over.step))
-            room.fact(t.or_(t.equals(index, over.start), over.ahead(last)))
+            context.fact(t.or_(t.equals(index, over.start), over.ahead(last)))
             for fact in over.on_grid(index):
-                room.fact(fact)
+                context.fact(fact)
 
     # Rule "written": a variable that no turn has written has its value at loop entry.
 
@@ -490,9 +491,9 @@ class _Turns:
             wrote = self.now.env.get(("wrote", name))
             if kind not in ("cell", "port") or wrote is None:
                 continue
-            self.room.fact(t.implies(truth(self.before.env.get(("wrote", name), t.FALSE)), truth(wrote)))
+            self.context.fact(t.implies(as_term(self.before.env.get(("wrote", name), t.FALSE)), as_term(wrote)))
             same = self.same((kind, name))
-            self.room.fact(t.or_(truth(wrote), same))
+            self.context.fact(t.or_(as_term(wrote), same))
 
     # Rule "counted": a variable that only grows is never below its value at loop entry, and at most one step a turn
     # above it. A variable that grows in each turn is exactly one step a turn above it.
@@ -503,67 +504,67 @@ class _Turns:
         known = [step for step in steps if step is not None]
         if not writes or len(known) < len(steps) or not (min(known) >= 0 or max(known) <= 0):
             return
-        first, now = truth(self.before.own(key)), truth(self.now.own(key))
+        first, now = as_term(self.before.own(key)), as_term(self.now.own(key))
         if now.sort is not t.INT:
             return
         rises = max(known) > 0
-        self.room.fact(t.at_most(first, now) if rises else t.at_most(now, first))
+        self.context.fact(t.at_most(first, now) if rises else t.at_most(now, first))
         if self.over is None or self.index is None or len(writes) > 1 or abs(self.over.step) != 1:
             return
         gone = t.subtract(self.index, self.over.start)
         taken = gone if self.over.step > 0 else t.negate(gone)
         most = t.add(first, t.multiply(t.integer(known[0]), taken))
         if writes[0].sure and not writes[0].guards:
-            self.room.fact(t.equals(now, most))
+            self.context.fact(t.equals(now, most))
         else:
-            self.room.fact(t.at_most(now, most) if rises else t.at_most(most, now))
+            self.context.fact(t.at_most(now, most) if rises else t.at_most(most, now))
 
     # Rule "last written": a variable with one writing statement has its value at loop entry, or the value that the
     # statement gave it in an earlier turn.
 
-    def last_written(self, group: Sequence[Write]) -> None:
+    def last_written(self, group: Sequence[LoopWrite]) -> None:
         fixed = [write for write in group if self.writes.is_fixed(write.value, write.lets)]
         if not fixed:
             return
         assert self.over is not None and self.index is not None
-        turn = self.room.new(f"{self.name()}@last", t.INT)
-        self.room.element(turn, self.over.robots, self.over.places)
+        turn = self.context.new(f"{self.name()}@last", t.INT)
+        self.context.element(turn, self.over.robots, self.over.places)
         frame = self.at(turn, fixed[-1].lets)
         made = [self.equal(self.now.own(write.key), self.value(write.value, frame)) for write in fixed]
         held = self.guards(fixed[0].guards, fixed[0].lets, frame)
         kept = [self.same(write.key) for write in fixed]
-        self.room.fact(t.or_(t.all_of(kept), t.all_of([self.over.passed(turn, self.index), *made, *held])))
+        self.context.fact(t.or_(t.all_of(kept), t.all_of([self.over.passed(turn, self.index), *made, *held])))
 
     # Rule "bounded": a variable that keeps the least value is at most its value at loop entry, and at most the value of
     # any turn that ran.
 
-    def bounded(self, bound: Bound) -> None:
+    def bounded(self, bound: RunningExtreme) -> None:
         write = bound.write
         if not self.writes.is_fixed(bound.value, write.lets):
             return
         assert self.over is not None and self.index is not None
         over, at = self.over, self.index
-        now = truth(self.now.own(write.key))
-        self.room.fact(self.order(now, truth(self.before.own(write.key)), bound.least))
+        now = as_term(self.now.own(write.key))
+        self.context.fact(self.order(now, as_term(self.before.own(write.key)), bound.least))
         if not write.sure or not all(self.writes.is_fixed(guard, write.lets) for guard, _ in bound.guards):
             return
 
         def instance(turn: Term) -> Term:
             frame = self.at(turn, write.lets)
-            value = truth(self.value(bound.value, frame))
+            value = as_term(self.value(bound.value, frame))
             held = self.guards(bound.guards, write.lets, frame)
             return t.implies(t.all_of([over.passed(turn, at), *held]), self.order(now, value, bound.least))
 
-        self.room.for_all(instance, over.robots, over.places)
+        self.context.for_all(instance, over.robots, over.places)
 
     # Rule "passed": the condition of a `while` held for each value that its counter has left behind.
 
-    def passed(self, write: Write) -> None:
+    def passed(self, write: LoopWrite) -> None:
         step = step_of(write)
         if not isinstance(self.loop, stmt.While) or step is None or step == 0:
             return
         key, parts = write.key, []
-        if truth(self.now.own(key)).sort is not t.INT:
+        if as_term(self.now.own(key)).sort is not t.INT:
             return
         others = set(self.writes.changed) - {key}
         for part in conjuncts(self.loop.condition):
@@ -571,14 +572,14 @@ class _Turns:
                 parts.append(part)
         if not parts:
             return
-        first, now = truth(self.before.own(key)), truth(self.now.own(key))
+        first, now = as_term(self.before.own(key)), as_term(self.now.own(key))
 
         def held(value: Term) -> Term:
             frame = self.before.place().frame
             frame.put(key, value)
-            return t.all_of([truth(self.value(part, frame)) for part in parts])
+            return t.all_of([as_term(self.value(part, frame)) for part in parts])
 
-        self.room.fact(t.or_(t.equals(now, first), held(t.subtract(now, t.integer(step)))))
+        self.context.fact(t.or_(t.equals(now, first), held(t.subtract(now, t.integer(step)))))
         if abs(step) != 1:
             return
 
@@ -591,7 +592,7 @@ class _Turns:
             return t.implies(between, held(value))
 
         robots = any(isinstance(n, ir.NSys) for n in walk(tuple(parts))) or names_robots(tuple(parts), key[1])
-        self.room.for_all(instance, robots, True)
+        self.context.for_all(instance, robots, True)
 
     def reads_only_fixed(self, part: ir.Expr, others: set[Key]) -> bool:
         changed, self.writes.changed = self.writes.changed, dict.fromkeys(others)
@@ -605,7 +606,7 @@ class _Turns:
     def name(self) -> str:
         return self.loop.names[0].split("@")[0] if isinstance(self.loop, stmt.For) else "turn"
 
-    def at(self, turn: Term, lets: Sequence[stmt.Let]) -> Frame:
+    def at(self, turn: Term, lets: Sequence[stmt.Let]) -> SymbolicFrame:
         """Return a frame with the values in one turn of variables that depend only on the turn's element."""
         assert self.over is not None and isinstance(self.loop, stmt.For)
         frame = self.before.place().frame
@@ -615,15 +616,17 @@ class _Turns:
                 frame.temps[let.name] = self.value(let.value, frame)
         return frame
 
-    def value(self, node: ir.Expr, frame: Frame) -> Val:
+    def value(self, node: ir.Expr, frame: SymbolicFrame) -> Val:
         """Return the value of an expression without demanding that it has one."""
-        with self.room.outermost(), self.room.aside():
+        with self.context.outermost(), self.context.separate_demands():
             return frame.e.value(node, frame)
 
-    def guards(self, guards: Sequence[tuple[ir.Expr, bool]], lets: tuple[stmt.Let, ...], frame: Frame) -> list[Term]:
+    def guards(
+        self, guards: Sequence[tuple[ir.Expr, bool]], lets: tuple[stmt.Let, ...], frame: SymbolicFrame
+    ) -> list[Term]:
         """Return those of the conditions that depend only on the turn's element, as terms that hold."""
         fixed = [(guard, held) for guard, held in guards if self.writes.is_fixed(guard, lets)]
-        terms = [(truth(self.value(guard, frame)), held) for guard, held in fixed]
+        terms = [(as_term(self.value(guard, frame)), held) for guard, held in fixed]
         return [term if held else t.not_(term) for term, held in terms]
 
     def same(self, key: Key) -> Term:

@@ -29,7 +29,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Sort, Term
 
 
-class Named(Node):
+class OpaqueCollection(Node):
     """Collection of which only its term is known."""
 
     term: Term
@@ -38,7 +38,7 @@ class Named(Node):
     __hash__ = object.__hash__
 
 
-class Known(Node):
+class EnumeratedCollection(Node):
     """Collection of these elements; for a map, pairs. Sets and maps have no order here."""
 
     items: tuple[Val, ...]
@@ -47,7 +47,7 @@ class Known(Node):
     __hash__ = object.__hash__
 
 
-class Choice(Node):
+class ConditionalCollection(Node):
     """One of two collections, by a condition."""
 
     condition: Term
@@ -58,7 +58,7 @@ class Choice(Node):
     __hash__ = object.__hash__
 
 
-class Changed(Node):
+class UpdatedCollection(Node):
     """Collection after an update of koordgen/lang/ir/builtins.py ("appended", "updated") with these arguments."""
 
     update: str
@@ -69,19 +69,19 @@ class Changed(Node):
     __hash__ = object.__hash__
 
 
-class Fleet(Node):
+class FleetValue(Node):
     """One value per robot, as a whole. `slot` reads one robot's value; `name` identifies the variable and the state.
     `changed`: another such value, a robot, and the only value in which it differs, that robot's."""
 
     name: str
     slot: Callable[[Term], Val]
     type: Type
-    changed: tuple[Fleet, Term, Val] | None = None
+    changed: tuple[FleetValue, Term, Val] | None = None
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
 
-Collection = Named | Known | Choice | Changed | Fleet
+Collection = OpaqueCollection | EnumeratedCollection | ConditionalCollection | UpdatedCollection | FleetValue
 Val = Term | tuple["Val", ...] | Collection
 
 
@@ -97,23 +97,29 @@ def pick(condition: Term, then: Val, orelse: Val) -> Val:
         return orelse
     if isinstance(then, tuple) and isinstance(orelse, tuple):
         return tuple([pick(condition, a, b) for a, b in zip(then, orelse, strict=True)])
-    if isinstance(then, (Named, Known, Choice, Changed, Fleet)):
-        assert isinstance(orelse, (Named, Known, Choice, Changed, Fleet))
-        if isinstance(then, Choice) and then.condition is condition:
+    if isinstance(then, (OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)):
+        assert isinstance(
+            orelse, (OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)
+        )
+        if isinstance(then, ConditionalCollection) and then.condition is condition:
             then = then.then
-        if isinstance(orelse, Choice) and orelse.condition is condition:
+        if isinstance(orelse, ConditionalCollection) and orelse.condition is condition:
             orelse = orelse.orelse
-        if then is orelse or (isinstance(then, Named) and isinstance(orelse, Named) and then.term is orelse.term):
+        if then is orelse or (
+            isinstance(then, OpaqueCollection) and isinstance(orelse, OpaqueCollection) and then.term is orelse.term
+        ):
             return then
-        return Choice(condition, then, orelse, then.type)
-    assert not isinstance(orelse, (tuple, Named, Known, Choice, Changed, Fleet))
+        return ConditionalCollection(condition, then, orelse, then.type)
+    assert not isinstance(
+        orelse, (tuple, OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)
+    )
     assert not isinstance(then, tuple)
     return t.ite(condition, then, orelse)
 
 
-def truth(value: Val) -> Term:
+def as_term(value: Val) -> Term:
     """Return a value that is known to be a term."""
-    assert isinstance(value, (t.Value, t.Apply, t.Op)), f"{value!r} is no term"
+    assert isinstance(value, (t.LiteralTerm, t.Apply, t.Op)), f"{value!r} is no term"
     return value
 
 
@@ -160,4 +166,4 @@ def build(type_: Type, leaves: Iterator[Term]) -> Val:
     if parts is not None:
         return tuple([build(part, leaves) for _, part in parts])
     leaf = next(leaves)
-    return Named(leaf, type_) if is_collection(type_) else leaf
+    return OpaqueCollection(leaf, type_) if is_collection(type_) else leaf

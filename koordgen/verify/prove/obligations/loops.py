@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import statements, walk
-from koordgen.verify.prove.encode.loop import Loop, Way, kept_by, way_of
+from koordgen.verify.prove.encode.loop import Loop, LoopEncoding, encoding_of, loop_carried
 from koordgen.verify.prove.encode.state import Key
-from koordgen.verify.prove.smt.obligation import AtHead
+from koordgen.verify.prove.smt.obligation import HeadFormula
 
 INIT = "init"
 
@@ -24,7 +24,7 @@ class LoopInvariants:
 
     def __init__(
         self, program: decl.Program, mentions: Mapping[str, frozenset[Key]], known: Mapping[str, ir.Expr],
-        robots: int | None, dropped: frozenset[AtHead],
+        robots: int | None, dropped: frozenset[HeadFormula],
     ) -> None:  # fmt: skip
         self.program, self.mentions, self.dropped = program, mentions, dropped
         self.known, self.robots = known, robots
@@ -35,33 +35,33 @@ class LoopInvariants:
             loops = [s for s in statements(block) if isinstance(s, (stmt.For, stmt.While))]
             self.number.update({id(loop): (owner, number) for number, loop in enumerate(loops)})
 
-    def way(self, loop: Loop) -> Way:
+    def encoding(self, loop: Loop) -> LoopEncoding:
         """Return the encoding of a loop of an event or of `init`."""
-        return way_of(loop, self.known, self.robots)
+        return encoding_of(loop, self.known, self.robots)
 
-    def stated(self, loop: Loop) -> Iterator[tuple[AtHead, ir.Expr]]:
+    def stated(self, loop: Loop) -> Iterator[tuple[HeadFormula, ir.Expr]]:
         """Yield the invariants that the program states at the loop's head."""
         owner, number = self.number[id(loop)]
         for invariant in loop.invariants:
-            at = AtHead(owner, number, f"line {invariant.span.line}")
+            at = HeadFormula(owner, number, f"line {invariant.span.line}")
             if at not in self.dropped:
                 yield at, invariant.formula
 
-    def tried(self, loop: Loop) -> Iterator[tuple[AtHead, decl.Property]]:
+    def candidates(self, loop: Loop) -> Iterator[tuple[HeadFormula, decl.Property]]:
         """Yield the program's invariants that mention a loop-carried variable, as candidates; in `init`, about the
         robot itself."""
         owner, number = self.number[id(loop)]
         if owner not in self.events and owner != INIT:
             return
-        kept = [key for key in kept_by(loop) if key[0] != "temp"]
+        kept = [key for key in loop_carried(loop) if key[0] != "temp"]
         for name, property_ in self.invariants.items():
-            at = AtHead(owner, number, name)
+            at = HeadFormula(owner, number, name)
             if at not in self.dropped and not self.mentions[name].isdisjoint(kept):
                 yield at, property_
 
-    def at(self, loop: Loop) -> list[AtHead]:
+    def at(self, loop: Loop) -> list[HeadFormula]:
         """Return all formulas that are assumed at a loop's head."""
-        return [at for at, _ in self.stated(loop)] + [at for at, _ in self.tried(loop)]
+        return [at for at, _ in self.stated(loop)] + [at for at, _ in self.candidates(loop)]
 
 
 def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
@@ -71,6 +71,6 @@ def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
     yield from ((function.name, function.block) for function in program.functions)
 
 
-def stating(program: decl.Program) -> list[decl.Function]:
+def functions_with_invariants(program: decl.Program) -> list[decl.Function]:
     """Return the functions whose loops have invariants."""
     return [f for f in program.functions if any(isinstance(n, stmt.LoopInvariant) for n in walk(f.block))]

@@ -10,14 +10,14 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.report.ledger import LEMMAS
 from koordgen.verify.prove.report.spell import spelled
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.solve import Answer
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import SolverAnswer
 from koordgen.verify.prove.smt.term import NONLINEAR
 
 MOST = 3  # of what is named
 
 
-def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown: str) -> str:
+def doubt(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
     """Which obligation, why, and the next step, in sentences. `unshown`: why a counterexample that the solver claims
     cannot be shown."""
     where = f"{obligation.name} ({obligation.file}:{obligation.line})"
@@ -36,7 +36,7 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
     return f"{where}: {unshown}{known}. Say more of it in {say}, a contract or an axiom"
 
 
-def exhausted(answer: Answer) -> bool:
+def exhausted(answer: SolverAnswer) -> bool:
     """Whether a solver had too little time or memory, rather than that it broke, or gave up."""
     return any(word in answer.reason for word in ("--timeout", "memory"))
 
@@ -51,7 +51,7 @@ def _many(obligation: Obligation) -> str:
 
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
     """The program's expressions that make an obligation non-linear, with their lines."""
-    facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
+    facts: list[LabelledFormula] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
     if not any(fact.term.traits & NONLINEAR for fact in facts):
         return
     events = tuple([event for event in program.events if event.name == obligation.event])

@@ -18,12 +18,12 @@ from koordgen.verify.prove.report.model import Counterexample, replayed, with_va
 from koordgen.verify.prove.report.reach import Bounds, Run, run_to
 from koordgen.verify.prove.report.reading import Reader, Unshowable, flat
 from koordgen.verify.prove.report.strengthen import closing, supposing, unassumed
-from koordgen.verify.prove.smt.obligation import AtHead, Fact, Obligation
-from koordgen.verify.prove.smt.solve import Answer, Both, Solver
-from koordgen.verify.prove.smt.term import REAL, Term, TooLarge, equals, to_int, to_real
+from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverAnswer
+from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals, to_int, to_real
 
 if TYPE_CHECKING:
-    from koordgen.verify.prove.smt.solve import Outcome
+    from koordgen.verify.prove.smt.solve import ObligationResult
 
 FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
 MOST = 1.0  # seconds of one query that is no proof
@@ -54,22 +54,22 @@ class Explainer:
         program: decl.Program,
         robots: int | None,
         params: Mapping[str, Expr] | None,
-        solver: Solver | Both,
+        solver: Solver | CrossCheck,
         proved: decl.Program,
-        dropped: frozenset[AtHead] = frozenset(),
+        dropped: frozenset[HeadFormula] = frozenset(),
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
         self.dropped = dropped
-        self.made: dict[tuple[decl.Program, int, str, AtHead | None], list[Obligation]] = {}
+        self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
 
-    def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
+    def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
         """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
         try:
             return self._explained(name, group, relied)
-        except TooLarge as error:
+        except EncodingTooLarge as error:
             return Explanation(None, None, f"no counterexample was looked for to the end: {error}", ())
 
-    def _explained(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
+    def _explained(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
         failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
         why, shown = "", None
         for obligation in sorted(failing, key=lambda o: o.kind != "base"):
@@ -131,14 +131,14 @@ class Explainer:
                         reasons.append("to run it takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
-    def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[Answer]:
+    def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[SolverAnswer]:
         """Models that people read easily, where there are any: with params as the program has them, in whole numbers;
         then any."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
         usual = list(_usual(obligation, program))
         for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
-            facts = tuple([Fact("to be read easily", term, "", 0) for term in more])
+            facts = tuple([LabelledFormula("to be read easily", term, "", 0) for term in more])
             asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
             answer = self.solver.ask(asked, reader.wanted(), most=MOST)
             if answer.result == "sat":

@@ -27,7 +27,7 @@ from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.verify.prove.report.reading import Reader, Served, Unshowable
-from koordgen.verify.prove.smt.obligation import Cell, Moment, Obligation
+from koordgen.verify.prove.smt.obligation import Obligation, StateCell, StateName
 
 
 class Conjunct(NamedTuple):
@@ -66,10 +66,10 @@ class Reading:
         params = {c.name: self.value(c) for c in obligation.cells if c.name in {p.name for p in program.params}}
         self.program = with_values(program, params)
 
-    def value(self, cell: Cell) -> Value:
+    def value(self, cell: StateCell) -> Value:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
-    def state(self, moment: Moment) -> State:
+    def state(self, moment: StateName) -> State:
         """The fleet at a moment; what the obligation does not speak of is as at first."""
         first = made_state(initial(self.program, self.robots))
         locals_ = [dict(robot.locals) for robot in first.robots]
@@ -77,7 +77,7 @@ class Reading:
         slots = {name: list(values) for name, values in first.store.slots.items()}
         cells = dict(first.store.cells)
         for cell in self.obligation.cells:
-            if cell.moment != moment or cell.name in first.params:
+            if cell.state_name != moment or cell.name in first.params:
                 continue
             if cell.robot is None:
                 if cell.name in cells:
@@ -95,8 +95,8 @@ class Reading:
         store = Store({name: tuple(values) for name, values in slots.items()}, cells)
         return first._replace(robots=robots, store=store, round=1)
 
-    def has(self, moment: Moment) -> bool:
-        return any(cell.moment == moment for cell in self.obligation.cells)
+    def has(self, moment: StateName) -> bool:
+        return any(cell.state_name == moment for cell in self.obligation.cells)
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:

@@ -37,7 +37,7 @@ from koordgen.verify.prove.smt.smtlib import Printer
 from koordgen.verify.prove.smt.term import (
     INT as INT_SORT,
 )
-from koordgen.verify.prove.smt.term import Apply, Function, Sort, Term, apply, at_most, boolean, integer, real
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, Sort, Term, apply, at_most, boolean, integer, real
 
 PATH = list_of(POINT)  # what a PathPlanner answers
 SHORT = 4  # elements of a list that is read from a model
@@ -184,7 +184,7 @@ def _any_of(sort: Sort) -> Term:
     return values[sort.name]
 
 
-def _functions(obligation: Obligation) -> Iterator[Function]:
+def _functions(obligation: Obligation) -> Iterator[FunctionSymbol]:
     """The symbols of an obligation."""
     terms = [f.term for f in obligation.facts] + ([obligation.goal.term] if obligation.goal is not None else [])
     yield from Printer(terms).functions.values()

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Expr
 from koordgen.lang.node import replace
-from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligations, rooms
-from koordgen.verify.prove.obligations.moment import Told
+from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligation_groups, obligations
+from koordgen.verify.prove.obligations.part_encoder import Detail
 from koordgen.verify.prove.report.ledger import Entry, Ledger
-from koordgen.verify.prove.smt.obligation import AtHead, Obligation
+from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
-from koordgen.verify.prove.smt.solve import Answer, Both, Outcome, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
 if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
     from koordgen.verify.prove.report.explain import Explanation
 
 Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
 WELL_DEFINED = "(well-defined)"
-MORE: tuple[Told, ...] = ("usual", "most")
+MORE: tuple[Detail, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
@@ -39,9 +39,9 @@ class Asked(NamedTuple):
     """The solver's answers to all obligations, once none of what is assumed at heads of loops fails: `dropped` was
     tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
 
-    outcomes: list[Outcome]
-    dropped: frozenset[AtHead]
-    lost: dict[str, tuple[Outcome, ...]]
+    outcomes: list[ObligationResult]
+    dropped: frozenset[HeadFormula]
+    lost: dict[str, tuple[ObligationResult, ...]]
 
 
 class Verdict(NamedTuple):
@@ -50,21 +50,21 @@ class Verdict(NamedTuple):
     invariant: str
     verdict: Name
     robots: int | None
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[ObligationResult, ...]
     reason: str
     explanation: Explanation | None
     rests_on: tuple[str, ...]
     assumptions: tuple[Entry, ...]
 
 
-def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
+def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
     """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
     asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
     names = _names(program, asked)
     groups = _groups(asked.outcomes)
-    failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
+    failed: dict[str, tuple[tuple[ObligationResult, ...], decl.Program]] = {}
     while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
         failed.update({name: (groups[name], program) for name in failing})
         without = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
@@ -90,10 +90,10 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
 
 def _explained(
     question: Question,
-    failed: Mapping[str, tuple[tuple[Outcome, ...], decl.Program]],
-    solver: Solver | Both,
+    failed: Mapping[str, tuple[tuple[ObligationResult, ...], decl.Program]],
+    solver: Solver | CrossCheck,
     proved: decl.Program,
-    dropped: frozenset[AtHead],
+    dropped: frozenset[HeadFormula],
 ) -> dict[str, Explanation]:
     """Why each fails; `proved` has the invariants that are PROVED."""
     if not failed:
@@ -105,7 +105,7 @@ def _explained(
 
 
 def _settled(
-    question: Question, program: decl.Program, solver: Solver | Both, before: Asked, more: Sequence[Told] = MORE
+    question: Question, program: decl.Program, solver: Solver | CrossCheck, before: Asked, more: Sequence[Detail] = MORE
 ) -> Asked:
     """Ask, and drop what fails at the heads of loops, until nothing fails there."""
     dropped, lost = before.dropped, dict(before.lost)
@@ -121,21 +121,28 @@ def _settled(
 
 
 def _asked(
-    question: Question, program: decl.Program, solver: Solver | Both, dropped: frozenset[AtHead], more: Sequence[Told]
-) -> list[Outcome]:
+    question: Question,
+    program: decl.Program,
+    solver: Solver | CrossCheck,
+    dropped: frozenset[HeadFormula],
+    more: Sequence[Detail],
+) -> list[ObligationResult]:
     """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
     told, where that is something else."""
     robots, params = question.robots, question.params
-    found = [Outcome(*each) for each in solver.ask_all(rooms(program, robots, params, "little", dropped))]
+    found = [
+        ObligationResult(*each)
+        for each in solver.ask_all(obligation_groups(program, robots, params, "little", dropped))
+    ]
     for told in more:
-        if all(outcome.holds or outcome.obligation.unwritten for outcome in found):
+        if all(outcome.holds or outcome.obligation.too_large for outcome in found):
             break  # with more told, formulas only grow
         others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
-def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> Asked | None:
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> Asked | None:
     """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
     assumptions are consistent must be seen for this number. None, where something does not hold for every number."""
     if question.robots is None:
@@ -147,22 +154,24 @@ def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both
         return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
     others = [o for o in general.outcomes if o.obligation.kind != "consistency"]
-    return general._replace(outcomes=[*(Outcome(*each) for each in numbered), *others])
+    return general._replace(outcomes=[*(ObligationResult(*each) for each in numbered), *others])
 
 
-def _again(outcome: Outcome, others: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+def _again(
+    outcome: ObligationResult, others: Mapping[str, Obligation], solver: Solver | CrossCheck
+) -> ObligationResult:
     other = others.get(outcome.obligation.name)
     if other is None:
         return outcome
     if script(other) == script(outcome.obligation):
-        return Outcome(other, outcome.answer)
+        return ObligationResult(other, outcome.answer)
     answer = solver.ask(other)
-    return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
+    return ObligationResult(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
 
 
-def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:
+def _groups(outcomes: Sequence[ObligationResult]) -> dict[str, tuple[ObligationResult, ...]]:
     """The obligations of each invariant."""
-    found: dict[str, list[Outcome]] = {}
+    found: dict[str, list[ObligationResult]] = {}
     for outcome in outcomes:
         if outcome.obligation.kind != "consistency":
             found.setdefault(outcome.obligation.invariant, []).append(outcome)
@@ -176,7 +185,7 @@ def _names(program: decl.Program, asked: Asked) -> list[str]:
     return list(found)
 
 
-def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
+def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
     """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
     doubt = ""
     for outcome in outcomes:
@@ -195,7 +204,7 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
     return "", doubt
 
 
-def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
+def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | CrossCheck) -> bool:
     """Return whether an event cannot get to its end for reasons of its own, whatever is assumed of what it calls."""
     if not obligation.event or answer.result != "unsat":
         return False
@@ -204,7 +213,7 @@ def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> b
 
 
 def _verdict(
-    program: decl.Program, group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str
+    program: decl.Program, group: tuple[ObligationResult, ...], told: Explanation | None, contradiction: str, doubt: str
 ) -> tuple[Name, str]:
     if contradiction:
         return "VACUOUS", contradiction
@@ -221,7 +230,7 @@ def _verdict(
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 
-def _rests_on(name: str, group: tuple[Outcome, ...], program: decl.Program) -> tuple[str, ...]:
+def _rests_on(name: str, group: tuple[ObligationResult, ...], program: decl.Program) -> tuple[str, ...]:
     """The other invariants whose lines stand among the facts of this one's obligations."""
     lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]

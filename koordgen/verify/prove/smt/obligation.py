@@ -12,10 +12,10 @@ from koordgen.lang.node import Node
 from koordgen.verify.prove.smt.term import Term
 
 Kind = Literal["base", "event", "environment", "loop", "well-defined", "consistency"]
-Moment = Literal["round start", "before", "after"]
+StateName = Literal["round start", "before", "after"]
 
 
-class Fact(Node):
+class LabelledFormula(Node):
     """A formula with its origin. `label` describes it ("invariant Geofence", "guard of Assign"); `file` and `line` name
     its place in the program. `position`: the number of loop heads and loop ends in the event before the place at which
     the formula is known. A goal uses only facts whose position is at most its own."""
@@ -27,7 +27,7 @@ class Fact(Node):
     position: int = 0
 
 
-class Cell(Node):
+class StateCell(Node):
     """One variable of the program in one state. `terms`: the parts of its value, in the order in which `shape` of
     encode/values.py flattens its type. `robot`: its owner, a term of sort Int; None for an allwrite variable. `name`
     as the program writes it: "x", "leader", "Motion.position". Params are included."""
@@ -36,10 +36,10 @@ class Cell(Node):
     robot: Term | None
     type: Type
     terms: tuple[Term, ...]
-    moment: Moment
+    state_name: StateName
 
 
-class AtHead(NamedTuple):
+class HeadFormula(NamedTuple):
     """One formula that is assumed at the head of one loop: the `number`-th loop of `owner` (an event, `init` or a
     function). `invariant` names an invariant of the program, or the line of an invariant that stands at the loop."""
 
@@ -65,12 +65,12 @@ class Obligation(Node):
     file: str
     line: int
     logic: str
-    facts: tuple[Fact, ...]
-    goal: Fact | None
+    facts: tuple[LabelledFormula, ...]
+    goal: LabelledFormula | None
     expected: Literal["unsat", "sat"]
-    conjuncts: tuple[Fact, ...]
-    cells: tuple[Cell, ...]
+    conjuncts: tuple[LabelledFormula, ...]
+    cells: tuple[StateCell, ...]
     robots: int | None
     notes: tuple[str, ...]
-    at: AtHead | None = None
-    unwritten: str = ""
+    at: HeadFormula | None = None
+    too_large: str = ""

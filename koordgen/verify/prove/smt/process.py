@@ -1,4 +1,5 @@
 """Child process with pipes. It avoids the module subprocess, whose import takes longer than a query."""
+
 from __future__ import annotations
 
 import os
@@ -12,7 +13,7 @@ CHUNK = 1 << 16
 KILLED = 9  # signal.SIGKILL: to import signal takes 0.6 ms
 
 
-class Ended(Exception):
+class ProcessEnded(Exception):
     """The process has closed its output."""
 
 
@@ -65,7 +66,7 @@ class Process:
         if ready[0]:
             some = os.read(self.source, CHUNK)
             if not some:
-                raise Ended
+                raise ProcessEnded
             self.read += some
             self.times.append((len(self.read), time.monotonic()))
         return bool(ready[0] or ready[1])

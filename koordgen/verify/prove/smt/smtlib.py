@@ -10,8 +10,8 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
 
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.term import Apply, Function, Op, Term, Value, not_
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Term, not_
 
 Line = Callable[[str, int], str]  # file, line -> the text of that line; "" if there is none
 BUILT_IN = frozenset(("Bool", "Int", "Real"))
@@ -58,7 +58,7 @@ class Printer:
 
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[Term, int] = {}
-        self.functions: dict[str, Function] = {}
+        self.functions: dict[str, FunctionSymbol] = {}
         self.heads: dict[str, str] = {}
         self.done: dict[Term, str] = {}
         self.named = 0
@@ -69,7 +69,7 @@ class Printer:
                 uses[node] += 1
                 continue
             uses[node] = 1
-            if isinstance(node, Value):
+            if isinstance(node, LiteralTerm):
                 continue
             if isinstance(node, Apply):
                 self.functions.setdefault(node.function.name, node.function)
@@ -84,7 +84,7 @@ class Printer:
             if node in done:
                 pending.pop()
                 continue
-            missing = [] if isinstance(node, Value) else [arg for arg in node.args if arg not in done]
+            missing = [] if isinstance(node, LiteralTerm) else [arg for arg in node.args if arg not in done]
             if missing:
                 pending += missing[::-1]
                 continue
@@ -105,7 +105,7 @@ class Printer:
 
     def shown(self, node: Term) -> str:
         """Return the text of a term whose arguments are printed already."""
-        if isinstance(node, Value):
+        if isinstance(node, LiteralTerm):
             return literal(node.value, node.sort.name)
         if isinstance(node, Op):
             return f"({node.name} {' '.join([self.done[arg] for arg in node.args])})"
@@ -204,12 +204,12 @@ def _cells(obligation: Obligation, used: Collection[str]) -> Iterator[str]:
     for cell in obligation.cells:
         names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply) and t.function.name in used)
         if names:
-            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
+            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.state_name}"] = None
     for text in told:
         yield from _comment(text)
 
 
-def _place(fact: Fact, line: Line) -> str:
+def _place(fact: LabelledFormula, line: Line) -> str:
     if not fact.line:
         return ""
     text = _flat(line(fact.file, fact.line))

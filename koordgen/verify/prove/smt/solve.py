@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, Self
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.prove.smt.obligation import Obligation
-from koordgen.verify.prove.smt.process import Ended, Process, allowed
+from koordgen.verify.prove.smt.process import Process, ProcessEnded, allowed
 from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
 from koordgen.verify.prove.smt.smtlib import script, together
 from koordgen.verify.prove.smt.term import TRUE, Term, not_
@@ -43,7 +43,7 @@ class Batch:
         now = time.monotonic()
         self.sent += [(obligation, len(each), now) for obligation, each in zip(room, parts, strict=True)]
 
-    def answers(self) -> dict[int, tuple[Result, float]]:
+    def answers(self) -> dict[int, tuple[SatResult, float]]:
         """Return by the obligation's id its result, and the seconds until it arrived. If several answers arrive at
         once, the first one gets the seconds. Empty if the output is anything but answers. Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
@@ -51,18 +51,18 @@ class Batch:
         words, marks = said[::2], said[1::2]
         if len(said) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
             return {}
-        found: dict[int, tuple[Result, float]] = {}
+        found: dict[int, tuple[SatResult, float]] = {}
         at, last = 0, 0.0
         for obligation, goals, sent in self.sent:
             own = words[at : at + goals]
             at += goals
-            result: Result = "sat" if "sat" in own else "unknown" if "unknown" in own else "unsat"
+            result: SatResult = "sat" if "sat" in own else "unknown" if "unknown" in own else "unsat"
             found[id(obligation)] = result, max(0.0, came[at - 1] - max(last, sent))
             last = came[at - 1]
         return found
 
 
-Result = Literal["sat", "unsat", "unknown"]
+SatResult = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
 WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # z3's first answer takes 10 ms more than later ones
 GRACE = 1.0  # seconds after the limit of a query until the solver is killed
@@ -81,19 +81,19 @@ class Limits(NamedTuple):
     memory: int = 2048
 
 
-class Answer(NamedTuple):
+class SolverAnswer(NamedTuple):
     """Answer of a solver about one obligation. `reason` explains an unknown result and names a remedy. `values`: the
     values of the wanted terms, in their order, if the result is `sat`. `core`: if it was asked for, the places in
     `facts` of those that already contradict one another."""
 
-    result: Result
+    result: SatResult
     seconds: float
     reason: str = ""
     values: tuple[ModelValue, ...] = ()
     core: tuple[int, ...] = ()
 
 
-class Broken(Exception):
+class SolverFailed(Exception):
     """The solver process is unusable; the message gives the reason."""
 
 
@@ -143,7 +143,7 @@ class Solver:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
         self._process.unsent = WARM.encode() if self.name == "z3" else b""
-        with suppress(Ended):  # the next query reports how the process ended
+        with suppress(ProcessEnded):  # the next query reports how the process ended
             self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
@@ -160,28 +160,28 @@ class Solver:
 
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
-    ) -> Answer:
+    ) -> SolverAnswer:
         """Ask whether the facts and the goal's negation are satisfiable together. `most`: seconds for this query, if
         that is less than the limit of a query. Raises SolverMissing."""
-        if obligation.unwritten:
-            return Answer("unknown", 0.0, obligation.unwritten)
+        if obligation.too_large:
+            return SolverAnswer("unknown", 0.0, obligation.too_large)
         began = time.monotonic()
         left = self.limits.total - self.spent
         if left <= 0:
-            return Answer(
+            return SolverAnswer(
                 "unknown", 0.0, f"the {self.limits.total:g} s for all queries are used up; try a longer --timeout"
             )
         limit = min(self.limits.query, left, most)
         try:
             answer = self._answered(obligation, wanted, core, limit)
-        except Broken as broken:
+        except SolverFailed as broken:
             self.end()
-            answer = Answer("unknown", 0.0, str(broken))
+            answer = SolverAnswer("unknown", 0.0, str(broken))
         seconds = time.monotonic() - began
         self.spent += seconds
         return answer._replace(seconds=seconds)
 
-    def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> Answer:
+    def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> SolverAnswer:
         self.start()
         until = time.monotonic() + limit + GRACE
         self._warm(until)
@@ -191,15 +191,15 @@ class Solver:
         said = self._said(self.room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
             case "unsat":
-                return Answer("unsat", 0.0, core=self._core(until) if core else ())
+                return SolverAnswer("unsat", 0.0, core=self._core(until) if core else ())
             case "sat":
-                return Answer("sat", 0.0, values=self._values(names, until))
+                return SolverAnswer("sat", 0.0, values=self._values(names, until))
             case "unknown":
-                return Answer("unknown", 0.0, self._why(limit, until))
+                return SolverAnswer("unknown", 0.0, self._why(limit, until))
             case _:
-                raise Broken(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
+    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
         """Answer many obligations, as `ask` does. Obligations of one group share most of their facts: z3 gets them in
         one batch and works on it while the next group is encoded. What z3 leaves undecided in the batch is asked alone.
         Raises SolverMissing."""
@@ -208,17 +208,17 @@ class Solver:
         found: list[Obligation] = []
         for room in rooms:
             found += room
-            apt = room and all(o.logic in LINEAR and not o.unwritten for o in room)
+            apt = room and all(o.logic in LINEAR and not o.too_large for o in room)
             if self.name == "z3" and apt and self._process is not None:
                 try:
                     batch.add(room)
-                except Broken:
+                except SolverFailed:
                     self.end()
-        answers: dict[int, Answer] = {}
+        answers: dict[int, SolverAnswer] = {}
         if self._process is not None and batch.sent:
             try:
-                answers = {key: Answer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
-            except Broken:
+                answers = {key: SolverAnswer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
+            except SolverFailed:
                 self.end()
         self.spent += sum(answer.seconds for answer in answers.values())
         return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
@@ -233,20 +233,22 @@ class Solver:
             return [not_(part.term) for part in obligation.conjuncts]
         return [not_(obligation.goal.term)]
 
-    def _refuted(self, obligation: Obligation, limit: float, until: float) -> Answer:
+    def _refuted(self, obligation: Obligation, limit: float, until: float) -> SolverAnswer:
         parts = self.parts(obligation)
         text, (goals,) = together([obligation], [parts])
         asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
         said = self._said(self.room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
         if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
-            raise Broken(f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}")
+            raise SolverFailed(
+                f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}"
+            )
         if "sat" in said:
-            return Answer("sat", 0.0)
+            return SolverAnswer("sat", 0.0)
         if "unknown" in said:
-            return Answer(
+            return SolverAnswer(
                 "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
             )
-        return Answer("unsat", 0.0)
+        return SolverAnswer("unsat", 0.0)
 
     def room(self, logic: str, core: bool, model: bool, limit: float) -> str:
         """Return the commands that begin a query and undo the previous one. z3 solves linear queries within a scope,
@@ -270,7 +272,7 @@ class Solver:
         try:
             return tuple(values(said, len(names)))
         except Unreadable as error:
-            raise Broken(f"{self.name} answered sat with an unusable model: {error}") from None
+            raise SolverFailed(f"{self.name} answered sat with an unusable model: {error}") from None
 
     def _core(self, until: float) -> tuple[int, ...]:
         said = self._said("(get-unsat-core)\n", until).strip("()").split()
@@ -317,8 +319,8 @@ class Solver:
         assert self._process is not None
         try:
             self._process.send(text)
-        except Ended:
-            raise Broken(self._obituary()) from None
+        except ProcessEnded:
+            raise SolverFailed(self._obituary()) from None
 
     def _heard(self, end: str, until: float) -> str:
         """Return the output up to the word that the solver was to echo. Raises SolverFailed."""
@@ -334,10 +336,10 @@ class Solver:
             left = until - time.monotonic()
             try:
                 going = left > 0 and process.exchange(left)
-            except Ended:
-                raise Broken(self._obituary()) from None
+            except ProcessEnded:
+                raise SolverFailed(self._obituary()) from None
             if not going or len(process.read) > MOST_BYTES:
-                raise Broken(f"{self.name} did not answer in time and was killed; try a longer --timeout")
+                raise SolverFailed(f"{self.name} did not answer in time and was killed; try a longer --timeout")
         return ended
 
     def _obituary(self) -> str:
@@ -369,7 +371,7 @@ def _short(text: str) -> str:
     return flat if len(flat) <= 160 else f"{flat[:157]}..."
 
 
-class Both:
+class CrossCheck:
     """Two solvers that get the same queries. A contradiction between their answers is an InternalError."""
 
     def __init__(self, solvers: Sequence[Solver]) -> None:
@@ -392,7 +394,7 @@ class Both:
 
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
-    ) -> Answer:
+    ) -> SolverAnswer:
         """Return the first answer that is not unknown. Raises InternalError if one is sat and another unsat."""
         answers = [solver.ask(obligation, wanted, core, most) for solver in self.solvers]
         decided = [answer for answer in answers if answer.result != "unknown"]
@@ -402,20 +404,20 @@ class Both:
         chosen = decided[0] if decided else answers[0]
         return chosen._replace(seconds=sum(a.seconds for a in answers))
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
+    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
         return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
 
 
-def solver_of(name: str, limits: Limits) -> Solver | Both:
+def solver_of(name: str, limits: Limits) -> Solver | CrossCheck:
     """Return the solver z3 or cvc5, or both cross-checked. Raises SolverMissing."""
-    return Both([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
+    return CrossCheck([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
 
 
-class Outcome(NamedTuple):
+class ObligationResult(NamedTuple):
     """One obligation with the solver's answer."""
 
     obligation: Obligation
-    answer: Answer
+    answer: SolverAnswer
 
     @property
     def holds(self) -> bool:

@@ -21,7 +21,7 @@ class Sort(Node):
 BOOL, INT, REAL = Sort("Bool"), Sort("Int"), Sort("Real")
 
 
-class Function(Node):
+class FunctionSymbol(Node):
     """Declared symbol; a constant has an empty domain."""
 
     name: str
@@ -29,7 +29,7 @@ class Function(Node):
     result: Sort
 
 
-class Value(Node):
+class LiteralTerm(Node):
     """Literal: a bool, an int, or the Fraction of a real."""
 
     value: bool | int | Fraction
@@ -42,7 +42,7 @@ class Value(Node):
 class Apply(Node):
     """Application of a declared symbol to arguments."""
 
-    function: Function
+    function: FunctionSymbol
     args: tuple[Term, ...]
     sort: Sort
     traits: int
@@ -62,7 +62,7 @@ class Op(Node):
     __hash__ = object.__hash__
 
 
-Term = Value | Apply | Op
+Term = LiteralTerm | Apply | Op
 
 # Traits of a term and all its parts: features that the logic of its obligation must have.
 REALS, NONLINEAR = 1, 2
@@ -75,7 +75,7 @@ MOST_BITS = 1 << 16
 _steps = 0
 
 
-class TooLarge(Exception):
+class EncodingTooLarge(Exception):
     """The formulas of one part of a program exceed a limit; the message says which."""
 
 
@@ -84,16 +84,16 @@ def step() -> None:
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
-        raise TooLarge(
+        raise EncodingTooLarge(
             f"its formulas take more than {MOST_STEPS:,} steps to write down, as each call of a function is written "
             "out: split it, or call fewer functions"
         )
 
 
 _TERMS: dict[object, Term] = {}  # operator or symbol with its arguments -> its only term
-_LITERALS: dict[object, Value] = {}
+_LITERALS: dict[object, LiteralTerm] = {}
 
-TRUE, FALSE = Value(True, BOOL, 0), Value(False, BOOL, 0)
+TRUE, FALSE = LiteralTerm(True, BOOL, 0), LiteralTerm(False, BOOL, 0)
 
 
 def forget() -> None:
@@ -109,22 +109,22 @@ def count_anew() -> None:
 
 def integer(value: int) -> Term:
     if value.bit_length() > MOST_BITS:
-        raise TooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
+        raise EncodingTooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
     found = _LITERALS.get(("Int", value))
-    return found or _LITERALS.setdefault(("Int", value), Value(value, INT, 0))
+    return found or _LITERALS.setdefault(("Int", value), LiteralTerm(value, INT, 0))
 
 
 def real(value: int | float | Fraction) -> Term:
     """Return a real literal. A float becomes exactly its binary fraction."""
     found = _LITERALS.get(("Real", value))
-    return found or _LITERALS.setdefault(("Real", value), Value(Fraction(value), REAL, REALS))
+    return found or _LITERALS.setdefault(("Real", value), LiteralTerm(Fraction(value), REAL, REALS))
 
 
 def boolean(value: bool) -> Term:
     return TRUE if value else FALSE
 
 
-def apply(function: Function, *args: Term) -> Term:
+def apply(function: FunctionSymbol, *args: Term) -> Term:
     key = (function.name, function.result.name, args)  # x@1 may be a bool in one context and a list in another
     found = _TERMS.get(key)
     if found is None:
@@ -137,7 +137,7 @@ def apply(function: Function, *args: Term) -> Term:
 
 
 def constant(name: str, sort: Sort) -> Term:
-    return apply(Function(name, (), sort))
+    return apply(FunctionSymbol(name, (), sort))
 
 
 def _op(name: str, sort: Sort, *args: Term) -> Term:
@@ -148,7 +148,7 @@ def _op(name: str, sort: Sort, *args: Term) -> Term:
         traits = REALS if sort is REAL else 0
         for arg in args:
             traits |= arg.traits
-        if name in _NONLINEAR and not any(isinstance(arg, Value) for arg in (args if name == "*" else args[1:])):
+        if name in _NONLINEAR and not any(isinstance(arg, LiteralTerm) for arg in (args if name == "*" else args[1:])):
             traits |= NONLINEAR
         found = _TERMS[key] = Op(name, args, sort, traits)
     return found
@@ -156,14 +156,14 @@ def _op(name: str, sort: Sort, *args: Term) -> Term:
 
 def number(term: Term) -> int | Fraction | None:
     """Return the number of a numeric literal; None for any other term."""
-    return term.value if type(term) is Value and term.sort is not BOOL else None
+    return term.value if type(term) is LiteralTerm and term.sort is not BOOL else None
 
 
 # Truth
 
 
 def not_(a: Term) -> Term:
-    if isinstance(a, Value):
+    if isinstance(a, LiteralTerm):
         return FALSE if a.value else TRUE
     if isinstance(a, Op) and a.name == "not":
         return a.args[0]
@@ -226,7 +226,7 @@ def ite(condition: Term, then: Term, orelse: Term) -> Term:
         orelse = orelse.args[2]
     if then is orelse:
         return then
-    if then.sort is BOOL and (isinstance(then, Value) or isinstance(orelse, Value)):
+    if then.sort is BOOL and (isinstance(then, LiteralTerm) or isinstance(orelse, LiteralTerm)):
         return _of_truths(condition, then, orelse)
     return _op("ite", then.sort, condition, then, orelse)
 
@@ -243,17 +243,17 @@ def _of_truths(condition: Term, then: Term, orelse: Term) -> Term:
 def equals(a: Term, b: Term) -> Term:
     if a is b:
         return TRUE
-    if isinstance(a, Value) and isinstance(b, Value):
+    if isinstance(a, LiteralTerm) and isinstance(b, LiteralTerm):
         return boolean(a.value == b.value)
     if a.sort is BOOL:
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Value):
+            if isinstance(one, LiteralTerm):
                 return other if one.value else not_(other)
-    if isinstance(a, Value):
+    if isinstance(a, LiteralTerm):
         a, b = b, a
-    if isinstance(b, Value) and isinstance(a, Op) and a.name == "ite":
+    if isinstance(b, LiteralTerm) and isinstance(a, Op) and a.name == "ite":
         condition, then, orelse = a.args
-        if isinstance(then, Value) or isinstance(orelse, Value):
+        if isinstance(then, LiteralTerm) or isinstance(orelse, LiteralTerm):
             return ite(condition, equals(then, b), equals(orelse, b))
     apart = _offset(a, b)
     if apart is not None:

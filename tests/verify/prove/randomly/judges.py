@@ -33,7 +33,7 @@ from koordgen.verify.explore.machine import Discard, Machine, Own
 from koordgen.verify.explore.search import Bounds, Search
 from koordgen.verify.prove.report import explain, reach
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, Question, prove
-from koordgen.verify.prove.smt.solve import Both, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 FLEETS = (1, 2, 3)
 LIMITS = ("would become", "would get", "not finished", " failed: ")  # of these `(well-defined)` says nothing
@@ -92,7 +92,7 @@ class Judged(NamedTuple):
 Judge = Callable[[decl.Program, frozenset[str], int, Effort], "Contradiction | None"]
 
 
-def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort) -> Judged:
+def judged(program: decl.Program, solver: Solver | CrossCheck, seed: int, effort: Effort) -> Judged:
     """Return the verdicts on a program, and the contradictions that the judges found."""
     verdicts: dict[str, str] = {}
     found: list[Contradiction] = []
@@ -446,7 +446,7 @@ def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort
 
 
 def attacked(
-    program: decl.Program, proved: frozenset[str], seed: int, effort: Effort, solver: Solver | Both | None = None
+    program: decl.Program, proved: frozenset[str], seed: int, effort: Effort, solver: Solver | CrossCheck | None = None
 ) -> Contradiction | None:
     """The contradiction that the attack of `koordgen prove` finds, with states from a solver where there is one."""
     found = attack(program, proved, solver=solver, seconds=effort.attacking, seed=seed).contradiction

@@ -12,8 +12,8 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact
-from koordgen.verify.prove.smt.term import Apply, Function, Op, Sort, Term, Value
+from koordgen.verify.prove.smt.obligation import LabelledFormula
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Sort, Term
 
 # Names that SMT-LIB defines itself, quoted or not.
 _RESERVED = frozenset(
@@ -47,10 +47,10 @@ def symbol(name: str) -> str:
     return f"{name}@" if name in _RESERVED else name
 
 
-def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[Function]:
+def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[FunctionSymbol]:
     """Return the symbols of a value that is a function of `args`: one symbol for each part of its type."""
     domain = tuple([a.sort for a in args])
-    return [Function(name + suffix, domain, sort) for suffix, sort in shape(type_)]
+    return [FunctionSymbol(name + suffix, domain, sort) for suffix, sort in shape(type_)]
 
 
 class Universal:
@@ -67,16 +67,16 @@ class Universal:
         self.done: set[Term] = set()
 
 
-class Room:
+class ProofContext:
     """Proof context of one part of a program. `robots`: the number of robots, None for any number >= 1; `size`: its
     term. If `unrolled`, universals are instantiated at each number of a robot, not at terms that name robots."""
 
     def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
         self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
-        self.facts: list[Fact] = []
+        self.facts: list[LabelledFormula] = []
         self.seen: dict[Term, int] = {}  # a fact's term -> the least position at which it is known
-        self.demands: list[Fact] = []  # conditions under which every operation has a value
+        self.demands: list[LabelledFormula] = []  # conditions under which every operation has a value
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
         self.indices: dict[Term, bool] = {}  # terms that may name robots -> whether each is known to name one
@@ -91,7 +91,7 @@ class Room:
         self.passes = 0
         self.position = 0  # number of loop heads and loop ends that are encoded so far
         self.known_from = 0  # position of the facts that are being gathered
-        self.nowhere: dict[tuple[object, ...], Term] = {}  # item -> that no robot has it
+        self.absent: dict[tuple[object, ...], Term] = {}  # item -> that no robot has it
         self.granted: set[Term] = set()  # ints that name robots within the current quantifier
         self.folds: set[Term] = set()  # sums over all robots whose facts are added
         self.texts: dict[str, Term] = {}  # string literals
@@ -109,15 +109,15 @@ class Room:
         """Add a formula that holds in every model, known from the position `known_from` on."""
         if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
             self.seen[formula] = self.known_from
-            found = Fact(label or self.label, formula, self.program.path, line or self.line, self.known_from)
+            found = LabelledFormula(label or self.label, formula, self.program.path, line or self.line, self.known_from)
             self.facts.append(found)
 
-    def given(self, formula: Term, label: str = "", line: int = 0) -> None:
+    def fact_if_reached(self, formula: Term, label: str = "", line: int = 0) -> None:
         """Add a formula that holds if this place is reached, known from this position on."""
         with self.known_at(self.position):
-            self.fact(t.implies(self.here(), formula), label, line)
+            self.fact(t.implies(self.reached(), formula), label, line)
 
-    def here(self) -> Term:
+    def reached(self) -> Term:
         """Return that this place is reached: its path is taken, and every operation before it has a value.
 
         Without the second condition, a fact of this place could prove that an operation before it has a value."""
@@ -127,7 +127,9 @@ class Room:
         """Demand a condition under which an operation of this place has a value. Without a value the event is
         discarded."""
         if formula is not t.TRUE:
-            self.demands.append(Fact(label, t.implies(t.all_of(self.path), formula), self.program.path, line))
+            self.demands.append(
+                LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.program.path, line)
+            )
 
     @contextmanager
     def known_at(self, position: int) -> Iterator[None]:
@@ -159,7 +161,7 @@ class Room:
     @contextmanager
     def grant(self, robot: object) -> Iterator[None]:
         """Treat an int as the name of a robot within this block."""
-        new = isinstance(robot, (Value, Apply, Op)) and robot not in self.granted
+        new = isinstance(robot, (LiteralTerm, Apply, Op)) and robot not in self.granted
         if new:
             self.granted.add(robot)  # type: ignore[arg-type]
         try:
@@ -177,7 +179,7 @@ class Room:
             self.label, self.line = kept
 
     @contextmanager
-    def aside(self) -> Iterator[list[Fact]]:
+    def separate_demands(self) -> Iterator[list[LabelledFormula]]:
         """Collect the demands that arise within in a list of their own."""
         kept, self.demands = self.demands, []
         try:
@@ -205,7 +207,7 @@ class Room:
         """Return a value of a type that is a function of terms, and of nothing else."""
         return self.applied(symbols(name, args, type_), args, type_)
 
-    def applied(self, functions: list[Function], args: tuple[Term, ...], type_: Type) -> Val:
+    def applied(self, functions: list[FunctionSymbol], args: tuple[Term, ...], type_: Type) -> Val:
         leaves = [t.apply(function, *args) for function in functions]
         if self.known:
             leaves = [self.known.get(leaf, leaf) for leaf in leaves]
@@ -219,7 +221,7 @@ class Room:
                     self.known[part] = t.TRUE
                 case Op("not", (Apply() as inner,)):
                     self.known[inner] = t.FALSE
-                case Op("=", (Apply() as inner, Value() as value)):
+                case Op("=", (Apply() as inner, LiteralTerm() as value)):
                     self.known[inner] = value
                 case _:
                     pass

@@ -11,40 +11,40 @@ from koordgen.lang.ir.ports import clearable, clears, held, ports
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.lists import default
 from koordgen.verify.prove.encode.loop import temps_of, written
-from koordgen.verify.prove.encode.scope import OfFleet
-from koordgen.verify.prove.encode.state import Free, Key, State
-from koordgen.verify.prove.encode.stmt import Env, Frame
-from koordgen.verify.prove.encode.values import Val, pick, truth
-from koordgen.verify.prove.obligations.moment import Stage
+from koordgen.verify.prove.encode.scope import FleetScope
+from koordgen.verify.prove.encode.state import ArbitraryState, Key, SymbolicState
+from koordgen.verify.prove.encode.stmt import Env, SymbolicFrame
+from koordgen.verify.prove.encode.values import Val, as_term, pick
+from koordgen.verify.prove.obligations.part_encoder import PartEncoder
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 
-def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
+def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
     """Return the variables after an event: those that it wrote, and the sensors that its commands clear."""
     found = {key: value for key, value in writes.items() if key[0] != "wrote"}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():
         if ("wrote", actuator) in writes:
             for sensor in cleared:
-                commands.setdefault(("port", sensor), []).append(truth(writes["wrote", actuator]))
+                commands.setdefault(("port", sensor), []).append(as_term(writes["wrote", actuator]))
     for key, wrote in commands.items():
         if (any_wrote := t.any_of(wrote)) is not t.FALSE:
             found[key] = pick(any_wrote, t.FALSE, state.of(key, robot))
     return found
 
 
-class Launch:
+class LaunchState:
     """State before any `init`. Sensors are arbitrary, except that those that commands clear are true. An actuator that
     holds at a sensor has the sensor's value (any, if the program does not declare it), any other its default."""
 
-    moment = "@launch"
+    state_name = "@launch"
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage, self.types = stage, stage.setting.types
-        self.sensed = Free(stage.room, self.types)
-        program, nowhere = stage.setting.program, OfFleet(self.sensed)
-        value = stage.encoder.value
+    def __init__(self, part_encoder: PartEncoder) -> None:
+        self.part_encoder, self.types = part_encoder, part_encoder.problem.types
+        self.sensed = ArbitraryState(part_encoder.context, self.types)
+        program, nowhere = part_encoder.problem.program, FleetScope(self.sensed)
+        value = part_encoder.encoder.value
         self.records: dict[str, Val] = {}
         for record in program.records:
             self.records[record.type.name] = tuple([value(d, nowhere) for d in record.defaults])
@@ -68,50 +68,52 @@ class Launch:
         return self.sensed.of(key, robot) if found is None else found
 
 
-class Run:
+class InitRun:
     """One robot's `init`: what it writes (`writes`), and the condition that it ends with a result (`ended`)."""
 
-    def __init__(self, stage: Stage, launch: Launch, robot: Term) -> None:
-        room, init = stage.room, stage.setting.program.init
+    def __init__(self, part_encoder: PartEncoder, launch: LaunchState, robot: Term) -> None:
+        context, init = part_encoder.context, part_encoder.problem.program.init
 
         def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-            answer = room.any(f"{node.module}.{node.port}", node.type)
-            stage.answered(node, args, answer, robot, launch)
+            answer = context.any(f"{node.module}.{node.port}", node.type)
+            part_encoder.answered(node, args, answer, robot, launch)
             return answer
 
-        way = stage.setting.loops.way
-        self.frame = Frame(stage.encoder, robot, launch, launch, ask, temps_of(init), stage.know, way)
-        self.frame.brief = stage.brief
-        with room.aside() as self.demands, room.outermost(), room.about("init", 0):
+        encoding = part_encoder.problem.loops.encoding
+        self.frame = SymbolicFrame(
+            part_encoder.encoder, robot, launch, launch, ask, temps_of(init), part_encoder.know, encoding
+        )
+        self.frame.brief = part_encoder.brief
+        with context.separate_demands() as self.demands, context.outermost(), context.about("init", 0):
             live = self.frame.block(init)
             self.env = self.frame.writes()
         over = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
         self.ended = t.all_of([over, *[demand.term for demand in self.demands]])
-        self.writes = ended(stage.setting.program, self.env, launch, robot)
+        self.writes = with_cleared_sensors(part_encoder.problem.program, self.env, launch, robot)
 
 
-class Ready:
+class StartState:
     """State after every robot's `init`. If several robots write an allwrite variable, the highest pid wins."""
 
-    moment = "@ready"
+    state_name = "@ready"
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage, self.launch = stage, Launch(stage)
-        self.types = stage.setting.types
-        self.runs: dict[Term, Run] = {}
+    def __init__(self, part_encoder: PartEncoder) -> None:
+        self.part_encoder, self.launch = part_encoder, LaunchState(part_encoder)
+        self.types = part_encoder.problem.types
+        self.runs: dict[Term, InitRun] = {}
         self.cells: dict[Key, Val] = {}
 
-    def run(self, robot: Term) -> Run:
+    def run(self, robot: Term) -> InitRun:
         found = self.runs.get(robot)
         if found is None:
-            found = self.runs[robot] = Run(self.stage, self.launch, robot)
-            room = self.stage.room
-            room.fact(t.implies(room.within(robot), found.ended), "every init ends", 0)
+            found = self.runs[robot] = InitRun(self.part_encoder, self.launch, robot)
+            context = self.part_encoder.context
+            context.fact(t.implies(context.within(robot), found.ended), "every init ends", 0)
         return found
 
     def of(self, key: Key, robot: Term) -> Val:
         before = self.launch.of(key, robot)
-        if not self.stage.setting.program.init:
+        if not self.part_encoder.problem.program.init:
             return before
         if key[0] == "cell":
             if key not in self.cells:
@@ -120,23 +122,23 @@ class Ready:
         return self.run(robot).writes.get(key, before)
 
     def _cell(self, key: Key, before: Val) -> Val:
-        room, wrote = self.stage.room, ("wrote", key[1])
-        if key not in written(self.stage.setting.program.init):
+        context, wrote = self.part_encoder.context, ("wrote", key[1])
+        if key not in written(self.part_encoder.problem.program.init):
             return before
-        some, last = room.new(f"wrote {key[1]}", t.BOOL), room.new(f"last to write {key[1]}", t.INT)
+        some, last = context.new(f"wrote {key[1]}", t.BOOL), context.new(f"last to write {key[1]}", t.INT)
 
         def writes(robot: Term) -> Term:
             run = self.run(robot)
-            return t.and_(room.within(robot), truth(run.env.get(wrote, t.FALSE)))
+            return t.and_(context.within(robot), as_term(run.env.get(wrote, t.FALSE)))
 
-        with room.about("the highest pid counts", 0):
-            room.robot(last)
-            room.robot(t.integer(0))
-            room.robot(t.subtract(room.size, t.integer(1)))
-            for number in _named(self.stage.setting.program.init):
-                room.robot(t.integer(number))
-            room.fact(t.implies(some, writes(last)))
-            room.for_all(lambda index: t.implies(writes(index), t.and_(some, t.at_most(index, last))))
+        with context.about("the highest pid counts", 0):
+            context.robot(last)
+            context.robot(t.integer(0))
+            context.robot(t.subtract(context.size, t.integer(1)))
+            for number in _named(self.part_encoder.problem.program.init):
+                context.robot(t.integer(number))
+            context.fact(t.implies(some, writes(last)))
+            context.for_all(lambda index: t.implies(writes(index), t.and_(some, t.at_most(index, last))))
         return pick(some, self.run(last).env.get(key, before), before)
 
 
@@ -147,6 +149,6 @@ def _named(block: stmt.Block) -> set[int]:
     return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
 
 
-def launched(stage: Stage, launch: Launch) -> None:
+def assume_initially(part_encoder: PartEncoder, launch: LaunchState) -> None:
     """Assume the program's `initially` properties."""
-    stage.holds(stage.setting.initially, launch)
+    part_encoder.holds(part_encoder.problem.initially, launch)

@@ -11,37 +11,37 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.ports import clears
 from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.context import ProofContext, symbol
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.function import Functions
 from koordgen.verify.prove.encode.loop import conjuncts, written
 from koordgen.verify.prove.encode.quantifier import domain as domain_of
-from koordgen.verify.prove.encode.room import Room, symbol
-from koordgen.verify.prove.encode.scope import NotHere, OfFleet, OfRobot
-from koordgen.verify.prove.encode.state import Key, State, Written, cleared, declared, sensors
-from koordgen.verify.prove.encode.stmt import Head
+from koordgen.verify.prove.encode.scope import FleetScope, RobotScope, UnknownAnswer
+from koordgen.verify.prove.encode.state import Key, SymbolicState, UpdatedState, cleared, declared, sensors
+from koordgen.verify.prove.encode.stmt import LoopHead
 from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import AtHead, Cell, Fact, Moment
+from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
 from koordgen.verify.prove.smt.term import Term
 
 # How many of the known facts are added. "little" suffices for most proofs; "most" adds all, which solvers find hard.
 # Counterexamples satisfy the facts of "usual" or "most".
-Told = Literal["little", "usual", "most"]
+Detail = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
 CHOICES = 16  # most combinations of values at which an axiom is instantiated to check axioms against one another
 UNROLLED, PAIRED = 20, 4  # most robots that are named by numbers; the same if formulas quantify over pairs of robots
 
 
-class Setting:
+class ProofProblem:
     """Proof problem: a program, its number of robots (None: any), the params with values, and the detail of facts.
     `dropped`: formulas that do not hold at heads of loops."""
 
     def __init__(
-        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told,
-        dropped: frozenset[AtHead] = frozenset(),
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
+        dropped: frozenset[HeadFormula] = frozenset(),
     ) -> None:  # fmt: skip
-        self.told = told
+        self.detail = detail
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
@@ -66,30 +66,30 @@ class Setting:
         return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
-class Stage:
+class PartEncoder:
     """Encoder of one part of a program, for one obligation or several that share their facts."""
 
-    def __init__(self, setting: Setting, thorough: bool = False) -> None:
+    def __init__(self, problem: ProofProblem, thorough: bool = False) -> None:
         """Begin a part. `thorough`: add all facts about distances, whatever the problem's detail."""
-        self.thorough = thorough or setting.told == "most"
-        program = setting.program
-        self.setting = setting
-        self.brief = setting.told == "little"
-        self.room = Room(program, setting.robots, setting.unrolled)
+        self.thorough = thorough or problem.detail == "most"
+        program = problem.program
+        self.problem = problem
+        self.brief = problem.detail == "little"
+        self.context = ProofContext(program, problem.robots, problem.unrolled)
         self.params: dict[str, Val] = {}
         self.looked: dict[int, int] = {}  # id of an axiom's trigger -> number of calls at which it was instantiated
-        self.functions = Functions(self.room, self.params, self.know, self.brief and not thorough)
+        self.functions = Functions(self.context, self.params, self.know, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
             self.params[param.name] = self._param(param)
-        for property_ in setting.initially:
+        for property_ in problem.initially:
             self.rigid(property_.formula)
 
     def _param(self, param: decl.Param) -> Val:
-        fixed = self.setting.params.get(param.name)
+        fixed = self.problem.params.get(param.name)
         if fixed is not None:
-            return self.encoder.value(fixed, OfFleet(_Nowhere()))
+            return self.encoder.value(fixed, FleetScope(_Nowhere()))
         name = symbol(param.name)
         return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
 
@@ -100,15 +100,17 @@ class Stage:
         for part in conjuncts(formula):
             if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                        for n in walk(part)):  # fmt: skip
-                with self.room.about("initially", part.span.line):
-                    self.assume(part, OfFleet(_Nowhere()))
+                with self.context.about("initially", part.span.line):
+                    self.assume(part, FleetScope(_Nowhere()))
 
-    def holds(self, properties: Iterable[decl.Property], state: State, guard: Term = t.TRUE, when: str = "") -> None:
+    def holds(
+        self, properties: Iterable[decl.Property], state: SymbolicState, guard: Term = t.TRUE, when: str = ""
+    ) -> None:
         """Assume properties of a state, under the condition `guard`."""
         for property_ in properties:
             label = f"{property_.kind} {property_.name}".strip() + when
-            with self.room.about(label, property_.span.line):
-                self.assume(property_.formula, OfFleet(state), guard)
+            with self.context.about(label, property_.span.line):
+                self.assume(property_.formula, FleetScope(state), guard)
 
     def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
         """Add a formula as a fact under the condition `guard`. A universal formula is instantiated later."""
@@ -122,7 +124,7 @@ class Stage:
 
                 def instance(value: Val, within: Term) -> None:
                     kept, scope.temps = scope.temps, {**temps, name: value}
-                    with self.room.grant(value if isinstance(domain, ir.Ids) else None):
+                    with self.context.grant(value if isinstance(domain, ir.Ids) else None):
                         self.assume(body, scope, t.and_(guard, within))
                     scope.temps = kept
 
@@ -132,34 +134,38 @@ class Stage:
                         instance(over.element(index), within)
                     return t.TRUE
 
-                for value in over.few or ():
+                for value in over.listed or ():
                     instance(value, t.TRUE)
-                if over.few is None:
-                    self.room.for_all(each, over.robots, over.places)
+                if over.listed is None:
+                    self.context.for_all(each, over.robots, over.places)
             case _:
-                self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+                self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
-    def know(self, head: Head) -> None:
+    def know(self, head: LoopHead) -> None:
         """Assume the formulas at a loop's head: before each turn and after the last one, from the head on. SOUND: only
         for indices that name robots. The formulas contain an `init` also of an index that names none, of which nothing
         may be assumed."""
-        loops, place, own = self.setting.loops, head.turn, head.turn.frame.pid
+        loops, place, own = self.problem.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
-        reached = t.and_(place.reached, self.room.within(own)) if in_event else place.reached
-        with self.room.known_at(place.position), self.room.outermost(), self.room.grant(own if in_event else None):
+        reached = t.and_(place.reached, self.context.within(own)) if in_event else place.reached
+        with (
+            self.context.known_at(place.position),
+            self.context.outermost(),
+            self.context.grant(own if in_event else None),
+        ):
             for at, formula in loops.stated(head.loop):
-                with self.room.about(f"loop invariant of {at.owner}", formula.span.line):
+                with self.context.about(f"loop invariant of {at.owner}", formula.span.line):
                     self.assume(formula, place.frame, reached)
-            for at, property_ in loops.tried(head.loop):
+            for at, property_ in loops.candidates(head.loop):
                 label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
-                with self.room.about(label, property_.span.line):
+                with self.context.about(label, property_.span.line):
                     formula, scope = self.at_head(at, property_, place.frame.state())
                     self.assume(formula, scope, reached)
 
-    def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
+    def at_head(self, at: HeadFormula, property_: decl.Property, state: UpdatedState) -> tuple[ir.Expr, FleetScope]:
         """Return an invariant as it is assumed at a loop's head: in an event, as if the event ended there; in `init`,
         about the robot itself, since the others may or may not have run theirs."""
-        scope, formula = OfFleet(state), property_.formula
+        scope, formula = FleetScope(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
                 break
@@ -167,96 +173,96 @@ class Stage:
             formula = formula.body
         return formula, scope
 
-    def ports(self, before: State, after: State) -> None:
+    def ports(self, before: SymbolicState, after: SymbolicState) -> None:
         """Assume each module's assumptions, for every robot, about a step of the environment."""
-        for module in self.setting.program.modules:
+        for module in self.problem.program.modules:
             for assumption in module.assumptions:
-                with self.room.about(f"assume of {module.name}", assumption.span.line):
+                with self.context.about(f"assume of {module.name}", assumption.span.line):
                     self._each_robot(assumption, before, after)
 
-    def _each_robot(self, assumption: decl.Assumption, before: State, after: State) -> None:
+    def _each_robot(self, assumption: decl.Assumption, before: SymbolicState, after: SymbolicState) -> None:
         parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in walk(p))]
 
         def instance(robot: Term) -> Term:
-            inside = t.TRUE if self.room.indices.get(robot) else self.room.within(robot)
+            inside = t.TRUE if self.context.indices.get(robot) else self.context.within(robot)
             for part in parts:
-                self.assume(part, OfRobot(before, after, robot, {}), inside)
+                self.assume(part, RobotScope(before, after, robot, {}), inside)
             return t.TRUE
 
         if parts:
-            self.room.for_all(instance)
+            self.context.for_all(instance)
 
-    def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: State) -> None:
+    def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: SymbolicState) -> None:
         """Assume what the program assumes of a callable port's answer, for the goals with which it was called."""
         name = f"{port.module}.{port.port}"
-        for module in self.setting.program.modules:
+        for module in self.problem.program.modules:
             for assumption in module.assumptions if module.name == port.module else ():
                 for part in conjuncts(assumption.formula):
-                    self._of_answer(part, port, args, OfRobot(state, state, pid, {(name, args): answer}))
+                    self._of_answer(part, port, args, RobotScope(state, state, pid, {(name, args): answer}))
 
-    def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
+    def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: RobotScope) -> None:
         """Assume one formula of an answer, unless it has primed ports or actuators: it is about a later instant, when
         these may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
-        if not calls or not ports <= self.setting.sensors or any(n.primed for n in reads):
+        if not calls or not ports <= self.problem.sensors or any(n.primed for n in reads):
             return
         call, free = calls[0]
         if len(call.args) != len(args):
             return
         scope.temps = {goal.name: args[place] for place, goal in free.items()}
-        with self.room.about(f"assume of {port.module}", part.span.line):
+        with self.context.about(f"assume of {port.module}", part.span.line):
             try:
-                self.room.given(self.encoder.defined(part, scope))
-            except (NotHere, KeyError):
+                self.context.fact_if_reached(self.encoder.defined(part, scope))
+            except (UnknownAnswer, KeyError):
                 return  # the formula mentions other goals, too
 
-    def any_answers(self, state: State) -> None:
+    def any_answers(self, state: SymbolicState) -> None:
         """Assume an answer of each callable port that has assumptions, for arbitrary goals."""
-        for module in self.setting.program.modules:
+        for module in self.problem.program.modules:
             for assumption in module.assumptions:
                 for call, _ in decl.handed(assumption.formula):
-                    args = tuple([self.room.any("goal", arg.type) for arg in call.args])
-                    answer = self.room.any(f"{call.module}.{call.port}", call.type)
+                    args = tuple([self.context.any("goal", arg.type) for arg in call.args])
+                    answer = self.context.any(f"{call.module}.{call.port}", call.type)
                     self.answered(call, args, answer, t.integer(0), state)
 
     def any_axioms(self) -> None:
         """Instantiate each axiom about all values at the same two arbitrary values of each type, so that axioms can
         contradict one another. SOUND: these are some of the instances."""
         values: dict[Type, tuple[Val, Val]] = {}
-        for axiom, free, _ in self.setting.axioms:
+        for axiom, free, _ in self.problem.axioms:
             for type_ in free.values():
                 if type_ not in values:
-                    values[type_] = self.room.any("some", type_), self.room.any("other", type_)
+                    values[type_] = self.context.any("some", type_), self.context.any("other", type_)
             for choice in islice(product(*[values[type_] for type_ in free.values()]), CHOICES) if free else ():
-                scope = OfFleet(_Nowhere())
+                scope = FleetScope(_Nowhere())
                 scope.temps = dict(zip(free, choice, strict=True))
-                with self.room.about(f"axiom {axiom.name}", axiom.span.line):
-                    self.room.fact(self.encoder.defined(axiom.formula, scope))
+                with self.context.about(f"axiom {axiom.name}", axiom.span.line):
+                    self.context.fact(self.encoder.defined(axiom.formula, scope))
 
     def any_contracts(self) -> None:
         """Assume a call of each extern function, for arbitrary arguments, with a result."""
-        for function in self.setting.program.externs:
-            args = tuple([self.room.any(p.name.split("@")[0], p.type) for p in function.parameters])
+        for function in self.problem.program.externs:
+            args = tuple([self.context.any(p.name.split("@")[0], p.type) for p in function.parameters])
             result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
             required, ensured = self.functions.contract(function, args, result)
-            with self.room.about(f"contract of {function.name}", function.span.line):
+            with self.context.about(f"contract of {function.name}", function.span.line):
                 for formula in required:
-                    self.room.fact(formula)
+                    self.context.fact(formula)
                 for formula, line in ensured:
-                    self.room.fact(formula, line=line)
+                    self.context.fact(formula, line=line)
 
-    def is_assumed_of_calls(self, fact: Fact) -> bool:
+    def is_assumed_of_calls(self, fact: LabelledFormula) -> bool:
         """Return whether a fact is an assumption about a function or a port that an event calls."""
         return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
         """Instantiate the axioms of spec functions at the arguments of calls."""
-        for axiom, free, triggers in self.setting.axioms:
-            with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+        for axiom, free, triggers in self.problem.axioms:
+            with self.context.about(f"axiom {axiom.name}", axiom.span.line):
                 if not free:
-                    self.assume(axiom.formula, OfFleet(_Nowhere()))
+                    self.assume(axiom.formula, FleetScope(_Nowhere()))
                 for trigger in triggers:
                     self._axiom(axiom, trigger)
 
@@ -266,36 +272,36 @@ class Stage:
         done = self.looked.get(id(trigger), 0)
         self.looked[id(trigger)] = len(met)
         for args in met[done : len(met)]:
-            scope = OfFleet(_Nowhere())
+            scope = FleetScope(_Nowhere())
             places = zip(trigger.args, args, strict=True)
             scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
-            self.room.fact(self.encoder.defined(axiom.formula, scope))
+            self.context.fact(self.encoder.defined(axiom.formula, scope))
 
-    def close(self) -> tuple[Fact, ...]:
+    def close(self) -> tuple[LabelledFormula, ...]:
         """Return all facts, after all goals are encoded. Lemmas about distances introduce new distances: for these,
         lemmas are added once, or twice if `thorough`."""
         for _ in range(3 if self.thorough else 2):
-            many = len(self.room.facts)
-            self.room.instantiate()
+            many = len(self.context.facts)
+            self.context.instantiate()
             self.axioms()
-            self.encoder.geometry.lemmas(self.setting.told == "most")
-            if len(self.room.facts) == many:
+            self.encoder.geometry.lemmas(self.problem.detail == "most")
+            if len(self.context.facts) == many:
                 break
-        return tuple(self.room.facts)
+        return tuple(self.context.facts)
 
-    def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
+    def cells(self, states: Iterable[tuple[StateName, SymbolicState]]) -> tuple[StateCell, ...]:
         """Return the variables of the robots that occur, as terms, for counterexamples; none with detail "little"."""
         if self.brief:
             return ()
         lists, found = self.encoder.lists, []
-        for param in self.setting.program.params:
-            found.append(Cell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
-        robots = [index for index, known in self.room.indices.items() if known or self.room.robots is None]
-        for moment, state in moments:
-            for key, type_ in self.setting.types.items():
+        for param in self.problem.program.params:
+            found.append(StateCell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
+        robots = [index for index, known in self.context.indices.items() if known or self.context.robots is None]
+        for state_name, state in states:
+            for key, type_ in self.problem.types.items():
                 for robot in robots[:1] if key[0] == "cell" else robots:
                     owner = None if key[0] == "cell" else robot
-                    found.append(Cell(key[1], owner, type_, lists.leaves(state.of(key, robot)), moment))
+                    found.append(StateCell(key[1], owner, type_, lists.leaves(state.of(key, robot)), state_name))
         return tuple(found)
 
 
@@ -303,7 +309,7 @@ class _Nowhere:
     """No state: for formulas that read params alone."""
 
     types: Mapping[Key, Type] = {}
-    moment = ""
+    state_name = ""
 
     def of(self, key: Key, robot: Term) -> Val:
         raise AssertionError(f"{key} where only params are read")
