@@ -156,7 +156,7 @@ def test_without_a_solver(folder: Path, capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setenv("PATH", str(folder))
     assert main(["prove", written(STRONG)]) == 5
     message = capsys.readouterr().err
-    assert "there is no solver z3" in message and "koordgen[prove]" in message
+    assert "solver z3 not found" in message and "koordgen[prove]" in message
 
 
 def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
@@ -282,7 +282,7 @@ def test_a_file_is_readable(folder: Path) -> None:
     assert text.startswith("; app.koord:")
     assert "(set-info :status unsat)\n" in text and "(set-info :smt-lib-version 2.6)\n" in text
     assert "app.koord:7: assume position' in Rect(position, target)" in text, "the program's own line"
-    assert "to be shown, and so negated" in text
+    assert "to be shown, therefore negated" in text
     assert max(map(len, text.splitlines())) <= 100
 
 

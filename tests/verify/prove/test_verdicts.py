@@ -107,7 +107,7 @@ def test_a_sensor_of_which_nothing_is_assumed_is_named_with_what_could_be(tmp_pa
     assert told is not None and told.unassumed == ("Motion.position",)
     assert told.supposed == (f"using Motion: {assume}",)
     assert told.lacking == ("forall i in ID: Motion.target[i] in Rect(lo, hi)",)
-    assert "nothing is assumed of what Motion.position is after a step" in suggestion(found)
+    assert "nothing is assumed about Motion.position after a step" in suggestion(found)
     with_targets = verdicts(tmp_path, STRONG.replace(f"  {assume}\n", ""), solver)["Geofence"].explanation
     assert with_targets is not None
     assert (with_targets.supposed, with_targets.lacking) == ((f"using Motion: {assume}",), ())
@@ -282,8 +282,8 @@ def test_unknown_tells_the_obligation_its_place_the_reason_and_what_may_help(tmp
     light = verdicts(tmp_path, ROUND, solver)["Light"]
     assert light.verdict == "UNKNOWN"
     assert light.reason.startswith("Light-Weigh (") and "app.koord:27): " in light.reason
-    assert "what weigh yields is known only by what is said of it" in light.reason
-    assert light.reason.endswith("Say more of it in an invariant, a contract or an axiom")
+    assert "the result of weigh is known only by its contract and axioms" in light.reason
+    assert light.reason.endswith("Constrain it by an invariant, a contract or an axiom")
 
 
 def test_unknown_names_the_products_that_are_too_hard(tmp_path: Path) -> None:
@@ -338,9 +338,9 @@ def test_the_ledger_tells_lemmas_from_approximations() -> None:
 def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
     program = check_file(str(Path(__file__).parents[3] / "examples/task/separation.koord")).program
     obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
-    late = SolverAnswer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
+    late = SolverAnswer("unknown", 1.0, "z3 found no answer within 1 s; try a longer --timeout")
     said = doubt(program, obligation, late, "")
-    assert said.startswith("Clear-Assign (") and "--timeout may help. It is linear" in said
+    assert said.startswith("Clear-Assign (") and "--timeout. The obligation is linear" in said
     assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said
     assert "facts" not in doubt(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
 

@@ -1,4 +1,4 @@
-"""Why an obligation fails: a counterexample that the semantics reproduces, a run to it, what is lacking."""
+"""Explanation of a failed obligation: a counterexample that the semantics reproduces, a run to it, a strengthening."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals,
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import ObligationResult
 
-FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
-MOST = 1.0  # seconds of one query that is no proof
-PATIENCE = 4.0  # seconds of looking for a counterexample that can be shown
-SECONDS = 1.0  # of computing, for a strengthening
+FLEETS = (1, 2, 3, 4)  # sizes of fleets in which a counterexample is searched: fewer robots are easier to read
+MOST = 1.0  # seconds of one query that proves nothing
+PATIENCE = 4.0  # seconds of the search for a counterexample that can be shown
+SECONDS = 1.0  # CPU seconds, with the solver's, of the search for a strengthening
 
 
 class Explanation(NamedTuple):
-    """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
-    induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
-    close the proof; `usual`: with the params as the program has them it is proved without. `unassumed` are sensors of
-    which nothing is assumed; with `supposed` of them and what is lacking it is proved, where there is any."""
+    """Reason why an invariant is not proved.
+
+    `run` leads from an initial state to a state in which the invariant is false. Without a run, the counterexample is
+    one to induction only. `unshown`: why there is no counterexample although the solver claims one. `lacking`:
+    conjuncts that make the invariant inductive. `with_defaults`: it is proved with the params' values in the program.
+    `unassumed`: sensors without assumptions. If `supposed` is not empty, the invariant is proved with these assumptions
+    about them and the conjuncts in `lacking`."""
 
     counterexample: Counterexample | None
     run: Run | None
@@ -47,7 +50,7 @@ class Explanation(NamedTuple):
 
 
 class Explainer:
-    """`proved` is the program with no other invariants than those that are PROVED."""
+    """Explainer of failed obligations. `proved` is the program with only the PROVED ones of its invariants."""
 
     def __init__(
         self,
@@ -63,11 +66,11 @@ class Explainer:
         self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
-        """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
+        """Explain why obligations of the invariant `name` fail. `relied` has the invariants that they assumed."""
         try:
             return self._explained(name, group, relied)
         except EncodingTooLarge as error:
-            return Explanation(None, None, f"no counterexample was looked for to the end: {error}", ())
+            return Explanation(None, None, f"the search for a counterexample was stopped: {error}", ())
 
     def _explained(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
         failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
@@ -77,7 +80,7 @@ class Explainer:
                 shown = self.counterexample(obligation, relied)
                 break
             except Unshowable as error:
-                why = f"the solver's counterexample is not shown: {error}"
+                why = f"the solver's counterexample cannot be shown: {error}"
         invariant = next((p for p in self.program.properties if p.kind == "invariant" and p.name == name), None)
         if shown is None:
             return Explanation(None, None, why, ())
@@ -97,7 +100,7 @@ class Explainer:
         return Explanation(shown, run, "", lacking or (), usual)
 
     def usually(self, name: str, relied: decl.Program) -> bool:
-        """Whether the invariant is kept with the params that the program has."""
+        """Return whether the invariant is proved with the params' values in the program."""
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
@@ -109,7 +112,7 @@ class Explainer:
         return self.params is None or param not in self.params
 
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
-        """Raises Unshowable, with the reason of the least fleet."""
+        """Return a counterexample in the smallest fleet. Raises Unshowable, with the first reason that was met."""
         program = exact(relied)
         reasons: list[str] = []
         until = time.monotonic() + PATIENCE
@@ -128,24 +131,24 @@ class Explainer:
                     except Unshowable as error:
                         reasons.append(str(error))
                     except OutOfTime:
-                        reasons.append("to run it takes too long")
+                        reasons.append("its run takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[SolverAnswer]:
-        """Models that people read easily, where there are any: with params as the program has them, in whole numbers;
-        then any."""
+        """Yield models, the most readable ones first: with the params' values in the program and whole numbers, then
+        with whole numbers, then any."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
         usual = list(_usual(obligation, program))
         for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
-            facts = tuple([LabelledFormula("to be read easily", term, "", 0) for term in more])
+            facts = tuple([LabelledFormula("readable values", term, "", 0) for term in more])
             asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
             answer = self.solver.ask(asked, reader.wanted(), most=MOST)
             if answer.result == "sat":
                 yield answer
 
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
-        """All obligations of one event, with what fails at a loop's head where that is to be explained."""
+        """Return all obligations of one event. The formula that failed at a loop's head, if any, is assumed again."""
         key = (program, robots, failed.event, failed.at)
         if key not in self.made:
             dropped = self.dropped - {failed.at}
@@ -153,7 +156,7 @@ class Explainer:
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
-        """What closes the proof of an invariant, beside what is proved; None where nothing was found."""
+        """Return conjuncts with which an invariant is proved, beside the proved ones; None if none were found."""
         until = time.process_time() + SECONDS
         solving = 0.0
         base = replace(proved, properties=(*proved.properties, invariant))
@@ -161,7 +164,7 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            # An invariant of all numbers of robots holds for this one, and is decided faster.
+            # An invariant that holds for all numbers of robots holds for this number, and is decided faster.
             for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
@@ -178,8 +181,8 @@ class Explainer:
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
-    """That the params have the values that the program gives them."""
-    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # first values may not be exact
+    """Yield formulas that the params have their values in the program."""
+    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # initial values may not be exact
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
         if cell.robot is None and len(parts) == len(cell.terms):
@@ -191,6 +194,6 @@ def invariant_of(program: decl.Program, name: str) -> decl.Property:
 
 
 def _values(shown: Counterexample) -> list[KoordValue]:
-    """What the sensors and commands of a counterexample are."""
+    """Return the values of sensors and commands in a counterexample."""
     states = (shown.before, shown.after)
     return [value for state in states for robot in state.robots for value in robot.ports.values()]

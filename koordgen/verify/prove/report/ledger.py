@@ -1,4 +1,4 @@
-"""The assumption ledger: all that a verdict takes for granted, and where it is looked after when robots run."""
+"""Assumption ledger: everything that a verdict assumes, and what checks each assumption while robots run."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ LEMMAS = frozenset((DISTANCES, PATHS))
 
 
 class Entry(NamedTuple):
-    """One assumption: what kind, what it says, where the program says so (line 0: nowhere), and what checks it at run
-    time; empty where nothing does."""
+    """One assumption: its kind, its text, its place in the program (line 0: none), and what checks it at run time
+    (empty: nothing)."""
 
     kind: str
     text: str
@@ -42,7 +42,7 @@ class Entry(NamedTuple):
 
 
 class Ledger:
-    """Of one program."""
+    """Assumptions of one program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -50,7 +50,7 @@ class Ledger:
         self.general = tuple(_general(program))
 
     def of(self, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
-        """What these rest on: the parts of the program that stand among their facts, and their notes."""
+        """Return the assumptions of some obligations: parts of the program among their facts, and their notes."""
         used: set[int] = set()
         notes: dict[str, None] = {}
         for obligation in obligations:
@@ -67,7 +67,7 @@ def _noted(note: str, program: decl.Program) -> Entry:
 
 
 def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
-    """What the program itself assumes."""
+    """Yield the assumptions that the program states."""
     for module in program.modules:
         for assumption in module.assumptions:
             text = f"{module.name}: {spelled(assumption.formula)}"
@@ -86,7 +86,7 @@ def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
 
 
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
-    """What a `spec fun` says nobody can evaluate, and so not watch."""
+    """Return what checks a formula at run time. Nothing can evaluate a `spec fun`, so nothing checks its formulas."""
     specs = {spec.name for spec in program.specs}
     return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 
@@ -104,7 +104,7 @@ def _general(program: decl.Program) -> Iterator[Entry]:
 
 
 def _real(type_: Type) -> bool:
-    """Whether values of a type hold real numbers."""
+    """Return whether values of a type contain real numbers."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return _real(element)

@@ -1,7 +1,7 @@
-"""A solver's model as states of the program, and the step that it tells of, run by the executable semantics.
+"""Counterexamples from a solver's model: its states, and their step run by the executable semantics.
 
-A solver is not believed when it says `sat`: what it found is shown only as what the semantics made of it, in exact
-arithmetic, from a state in which the invariants hold to one in which they do not.
+The answer `sat` of a solver is not trusted. A counterexample is shown only as the semantics runs it, in exact
+arithmetic, from a state in which the invariants hold to a state in which one does not.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from koordgen.verify.prove.smt.obligation import Obligation, StateCell, StateNam
 
 
 class Conjunct(NamedTuple):
-    """The part of a formula that decides it: `names` are the quantified names that it reads, with their values."""
+    """Conjunct that decides a formula. `names`: the quantified names that it reads, with their values."""
 
     formula: ir.Expr
     names: Mapping[str, Value]
 
 
 class Counterexample(NamedTuple):
-    """One step that leads from a state in which all invariants hold to one in which `failed` does not. `begun` is the
-    store at the round's start, which a plain event reads; `pid` is None where all robots moved; `discarded` says why
-    the event has no result, where that is what is wrong. `seen` are the names of variables that matter."""
+    """One step from a state in which all invariants hold to a state in which `failed` does not. `begun`: the store at
+    the round's start, which a plain event reads. `pid`: None if all robots moved. `discarded`: the reason why the event
+    has no result, if that is the failure. `seen`: names of the variables in the obligation."""
 
     invariant: str
     kind: str
@@ -57,7 +57,7 @@ class Counterexample(NamedTuple):
 
 
 class Reading:
-    """A model, as the states that it tells of."""
+    """States of the program in a model."""
 
     def __init__(self, program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> None:
         self.obligation = obligation
@@ -70,7 +70,7 @@ class Reading:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
     def state(self, moment: StateName) -> State:
-        """The fleet at a moment; what the obligation does not speak of is as at first."""
+        """Return the fleet in one state. A variable that the obligation does not mention has its initial value."""
         first = made_state(initial(self.program, self.robots))
         locals_ = [dict(robot.locals) for robot in first.robots]
         ports = [dict(robot.ports) for robot in first.robots]
@@ -100,18 +100,18 @@ class Reading:
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:
-    """The program with some params set to values."""
+    """Return the program with some params set to values."""
     params = [replace(p, default=constant(values[p.name], p)) if p.name in values else p for p in program.params]
     return replace(program, params=tuple(params))
 
 
 def constant(value: Value, param: decl.Param) -> ir.Expr:
-    """A value as an expression: only for the semantics, which takes a constant's value as it is."""
+    """Return a value as an expression. Only the semantics may use it: it takes a constant's value unchecked."""
     return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
 
 
 def made_state(state: State) -> State:
-    """A state with all its numbers exact."""
+    """Return a state with all its numbers exact."""
     robots = tuple(Robot(exact_all(r.locals), exact_all(r.ports), r.stopped) for r in state.robots)
     slots = {name: tuple(map(made_exact, values)) for name, values in state.store.slots.items()}
     return State(exact_all(state.params), robots, Store(slots, exact_all(state.store.cells)), state.round)
@@ -122,8 +122,8 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> Counterexample:
-    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be
-    relied upon. Raises Unshowable where the run does not show what the solver claims."""
+    """Run the step of a model, as `reader` read it. `program` is exact, and contains the invariants that may be
+    assumed. Raises Unshowable if the run does not show what the solver claims."""
     try:
         reading = Reading(program, obligation, reader, robots)
         match obligation.kind:
@@ -134,15 +134,15 @@ def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robo
             case "well-defined" if obligation.event == "init":
                 return _init(reading)
             case "loop" if obligation.event not in {event.name for event in program.events}:
-                raise Unshowable("only turns of loops in events are run")
+                raise Unshowable("turns of loops are run only in events")
             case "event" | "well-defined" | "loop":
                 return _event(reading)
             case _:
                 raise InternalError(f"{obligation.name} has no counterexample")
     except NotExact as error:
-        raise Unshowable(f"it cannot be run exactly: {error}") from None
+        raise Unshowable(f"the step cannot be run exactly: {error}") from None
     except NoMeaning as error:
-        raise Unshowable(f"it cannot be run: {error}") from None
+        raise Unshowable(f"the step cannot be run: {error}") from None
 
 
 def _base(reading: Reading) -> Counterexample:
@@ -155,20 +155,20 @@ def _base(reading: Reading) -> Counterexample:
 def _init(reading: Reading) -> Counterexample:
     before, _, discarded = _begun(reading)
     if discarded is None:
-        raise Unshowable("init, when it is run, has a result")
+        raise Unshowable("init has a result when it is run")
     return _told(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
 
 
 def _begun(reading: Reading) -> tuple[State, State, Step | None]:
-    """A fleet before and after every robot's init; the first init that is discarded, if one is."""
+    """Return the fleet before and after every robot's `init`, and the first `init` that is discarded, or None."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not true(property_, reading.program, before):
-            raise Unshowable("what holds initially does not hold in it")
+            raise Unshowable("its first state violates an `initially` property")
     served = Served(reading.program, reading.reader)
     after, steps = run_init(reading.program, before, served.world)
     if served.missing or served.asked:
-        raise Unshowable("what is asked in init is known only by what is said of it")
+        raise Unshowable("init calls functions or ports whose results are known only by their contracts")
     return before, after, next((s for s in steps if isinstance(s.outcome, Discarded)), None)
 
 
@@ -183,12 +183,12 @@ def _environment(reading: Reading) -> Counterexample:
     _relied_upon(program, before)
     for pid, (old, new) in enumerate(zip(before.robots, moved, strict=True)):
         if not allowed(program, old.ports, new.ports, pid, before):
-            raise Unshowable("an assumption does not hold in it")
+            raise Unshowable("its step violates an assumption")
     return _told(reading, before.store, before, before._replace(robots=tuple(moved)), None, "")
 
 
 def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State) -> bool:
-    """Whether every assumption holds of one robot's step. Raises Unshowable where one cannot be evaluated."""
+    """Return whether one robot's step satisfies every assumption. Raises Unshowable if one cannot be evaluated."""
     try:
         return all(
             holds_assumption(a, program, old, new, pid, len(state.robots), state.params)
@@ -196,7 +196,7 @@ def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, V
             for a in module.assumptions
         )
     except Discarded as error:
-        raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
+        raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
 
 
 def _event(reading: Reading) -> Counterexample:
@@ -213,7 +213,7 @@ def _event(reading: Reading) -> Counterexample:
         served = Served(program, reading.reader)
         try:
             if not has_priority(program, event, before._replace(store=begun), pid, served.world):
-                why = "an earlier event of the same priority block goes first"
+                why = "an earlier event of the same priority block runs instead"
                 continue
             if not enabled(program, event, seen, pid, served.world):
                 continue
@@ -233,7 +233,7 @@ def _event(reading: Reading) -> Counterexample:
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
         if obligation.kind == "event" and not _all_true(obligation.invariant, program, after):
             return _told(reading, begun, before, after, pid, "")
-        why = "the step, when it is run, keeps the invariant"
+        why = "the step preserves the invariant when it is run"
     raise Unshowable(why)
 
 
@@ -248,7 +248,7 @@ def _all_true(name: str, program: decl.Program, state: State) -> bool:
 
 
 def true(property_: decl.Property, program: decl.Program, state: State) -> bool:
-    """Whether a property holds; where it has no value it does not."""
+    """Return whether a property holds. False if it has no value."""
     try:
         return holds_property(property_, program, state)
     except Discarded:
@@ -264,7 +264,7 @@ def _told(
         if property_.name == obligation.invariant and property_.kind == "invariant":
             failed = failing(property_, reading.program, after)
     if failed is None and not discarded:
-        raise Unshowable("the step, when it is run, keeps the invariant")
+        raise Unshowable("the step preserves the invariant when it is run")
     return _seen(reading, begun, before, after, pid, failed, discarded)
 
 
@@ -282,7 +282,7 @@ def _seen(
 
 
 def failing(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
-    """The part of a property that makes it false in a state; None where it holds."""
+    """Return the conjunct that makes a property false in a state; None if the property holds."""
     view = library(program, len(state.robots), state.params, NOTHING, Budget(), no_port)
     view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
     return _failing(property_.formula, view)
@@ -308,7 +308,7 @@ def _failing(node: ir.Expr, view: View) -> Conjunct | None:
 
 
 def plain_value(value: Any) -> Any:
-    """A value for JSON: exact numbers as text where a float would round them."""
+    """Return a value for JSON. A number that a float would round becomes text."""
     match value:
         case bool() | int() | str():
             return value

@@ -1,8 +1,8 @@
-"""Runs from initial states, a bounded number of them, that look for one in which an invariant is false.
+"""Bounded search of runs from initial states for a state in which an invariant is false.
 
-Only a run that the semantics makes counts, so what is found is a fact; that nothing is found says nothing. The
-environment is made finite: a sensor takes the values that the program and the counterexample to induction speak of,
-as far as the assumptions allow.
+A run counts only if the semantics executes it, so a run that is found is a fact. Finding none proves nothing. The
+environment is made finite: a sensor takes values that the program and the counterexample to induction mention, if the
+assumptions allow them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ ENVIRONMENT = "(environment)"
 
 
 class Bounds(NamedTuple):
-    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
-    computing (on a busy computer they take longer)."""
+    """Limits of the search: robots, rounds, states, values of one sensor, moves of the whole fleet, and CPU seconds
+    (which take longer on a busy computer)."""
 
     robots: int = 3
     rounds: int = 6
@@ -47,7 +47,7 @@ class Bounds(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """A state of a run, and what led to it: "" at first, "init", an event's name, "(environment)"."""
+    """A state of a run, and the step that led to it: "" for the first state, "init", an event, "(environment)"."""
 
     state: State
     event: str
@@ -56,7 +56,7 @@ class Moment(NamedTuple):
 
 
 class Run(NamedTuple):
-    """From an initial state to one in which an invariant is false. `of_agents`: agents can do each round of it."""
+    """Run from an initial state to one in which an invariant is false. `of_agents`: agents can execute each round."""
 
     moments: tuple[Moment, ...]
     failed: Conjunct
@@ -66,9 +66,9 @@ class Run(NamedTuple):
 def run_to(
     program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
 ) -> Run | None:
-    """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
-    sensors may take. Where agents cannot do the first one that is found, one of no more rounds that they can do is
-    looked for, as long again."""
+    """Return the first run found, one with the fewest rounds of its fleet; fleets of 1 to `bounds.robots` robots, or of
+    `robots`. `program` is exact. `hints`: additional values of sensors. If agents cannot execute that run, a second
+    search of the same time looks for a run that they can, with no more rounds."""
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     known = tuple(hints)
     found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
@@ -90,12 +90,12 @@ def _searched(
                 if found is not None:
                     return found
     except (NotExact, NoMeaning, OutOfTime):
-        return None  # a run that cannot be made exactly, or takes too long, shows nothing
+        return None  # a run that cannot be made exactly, or takes too long, proves nothing
     return None
 
 
 class _Search:
-    """`as_agents`: of each robot only the event is tried that agents choose."""
+    """Breadth-first search of runs. `as_agents`: each robot runs only the event that agents choose."""
 
     def __init__(
         self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float,
@@ -116,14 +116,14 @@ class _Search:
         layer: list[tuple[Moment, ...]] = []
         for start in self.starts(n_sys):
             ready, steps = run_init(self.program, start, self.world)
-            if not any(isinstance(step.outcome, Discarded) for step in steps):  # otherwise no mission begins
+            if not any(isinstance(step.outcome, Discarded) for step in steps):  # a discarded init begins no mission
                 layer.append((Moment(start, "", None, 0), Moment(ready, "init", None, 0)))
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
             reached = list(islice(self.rounds(layer, seen), self.bounds.states))
             found = self.broken(reached)
-            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins behind such a step
+            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins after such a step
         return found
 
     def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
@@ -134,14 +134,14 @@ class _Search:
         return None
 
     def of_agents(self, run: tuple[Moment, ...]) -> bool:
-        """Return whether agents can do a run; False where a guard cannot be evaluated exactly."""
+        """Return whether agents can execute a run. False if a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
         except (NotExact, NoMeaning):
             return False
 
     def starts(self, n_sys: int) -> Iterator[State]:
-        """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
+        """Yield initial states: all robots' sensors have every combination of pool values, the first ones first."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)
@@ -159,14 +159,14 @@ class _Search:
                 yield state
 
     def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
-        """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
+        """Extend every run by a round: one event of one robot, or events as agents run them, then the environment."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
                 if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
-                    yield stepped  # whatever comes after: here the program's step has ended
+                    yield stepped  # a run may end here, since the program's step has ended
                 for moved in self.moved(stepped[-1].state):
                     fresh = moved._replace(round=0)
                     if fresh not in seen:
@@ -190,7 +190,7 @@ class _Search:
                 yield tuple(moments)
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
-        """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""
+        """Yield the steps of one robot. An event that cannot be run exactly is left out; the others remain."""
         if state.robots[pid].stopped:
             return
         for event in self.tried(state, pid):
@@ -208,7 +208,7 @@ class _Search:
         return ()
 
     def moved(self, state: State) -> Iterator[State]:
-        """The environment's step: all robots, each to a value that the assumptions allow."""
+        """Yield the states after the environment's step, in which sensors have values that assumptions allow."""
         each = []
         for pid, robot in enumerate(state.robots):
             pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
@@ -226,20 +226,20 @@ class _Search:
 
 
 class Pools:
-    """The values that sensors are tried with: of each type those of which the program and some hints speak, at most
-    `count` of them."""
+    """Values that the search tries for sensors: for each type at most `count` of those that the program and the hints
+    mention."""
 
     def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
         self.hints, self.spoken = tuple(hints), tuple(spoken)
         self.count = count
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
-        """The values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
+        """Return values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """The values of a type that the program and the hints speak of."""
+        """Return the values of a type that the program and the hints mention."""
         if type_ == BOOL:
             return [True, False]
         known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.spoken) if _is(v, type_)]
@@ -264,7 +264,7 @@ def _is(value: Any, type_: Type) -> bool:
 
 
 def literals(part: Part) -> Iterator[Value]:
-    """The numbers that formulas or statements name."""
+    """Yield the numbers that formulas or statements contain."""
     for node in walk(part):
         if isinstance(node, ir.Const) and not isinstance(node.value, (bool, str)):
             yield made_exact(node.value)
@@ -279,5 +279,5 @@ def _distinct(values: Iterable[Any]) -> list[Any]:
 
 
 def no_way(pid: int, port: str, args: tuple[Value, ...]) -> Value:
-    """A callable port that knows no way."""
+    """Answer a callable port with no path."""
     return ()

@@ -1,4 +1,4 @@
-"""Verdicts as people read them, at most 100 columns wide, and as data."""
+"""Verdicts as text of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, Verdict
 
-if TYPE_CHECKING:  # a proof needs nothing of what shows counterexamples
+if TYPE_CHECKING:  # a proof needs no code that shows counterexamples
     from koordgen.verify.prove.report.explain import Explanation
 
 WIDTH = 100
 
 
 class Attacked(NamedTuple):
-    """How many states one obligation was attacked with; why none, where it is 0."""
+    """Number of states with which one obligation was attacked; `reason`: why there are none, if it is 0."""
 
     states: int
     reason: str
@@ -24,7 +24,7 @@ Attacks = Mapping[str, Attacked]  # by the obligation's name
 
 
 def report(verdicts: Sequence[Verdict], path: str, attacks: Attacks) -> str:
-    """All verdicts, then what they take for granted."""
+    """Return the text of all verdicts, then of their assumptions."""
     robots = verdicts[0].robots if verdicts else None
     fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
     lines = [f"{path}, for {fleet}", ""]
@@ -65,18 +65,18 @@ def _verdict(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
         return
     yield from counterexample(told.counterexample)
     guarded = "guard it, or say in an invariant that it does not happen"
-    untold = guarded if verdict.invariant == WELL_DEFINED else "no conjunct that was tried closes the proof"
+    untold = guarded if verdict.invariant == WELL_DEFINED else "none of the conjuncts that were tried closes the proof"
     yield from wrapped(suggestion(verdict) or untold)
 
 
 def attacked_states(verdict: Verdict, attacks: Attacks) -> int:
-    """The states of all steps that an invariant was attacked with; obligations of one step share theirs."""
+    """Return the number of states with which an invariant was attacked. Obligations of one step share their states."""
     steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
     return sum(steps.values())
 
 
 def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
-    """The obligations that no state was found for, by their reasons."""
+    """Yield the obligations that were not attacked, grouped by the reason."""
     names: dict[str, list[str]] = {}
     for outcome in verdict.outcomes:
         states, reason = attacks[outcome.obligation.name]
@@ -88,12 +88,12 @@ def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
 
 
 def wrapped(text: str) -> list[str]:
-    """A sentence over as many lines as it takes."""
+    """Return a sentence in as many lines as it needs."""
     return filled(text, "  ", "  ")
 
 
 def filled(text: str, first: str, rest: str) -> list[str]:
-    """Words in lines, with what the first begins with, and the others. To import textwrap takes 0.7 ms."""
+    """Fill lines with words. `first` and `rest` begin the first and other lines. To import textwrap takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:
@@ -104,7 +104,7 @@ def filled(text: str, first: str, rest: str) -> list[str]:
 
 
 def suggestion(verdict: Verdict) -> str:
-    """What closes the proof, in a sentence; empty where that is not known."""
+    """Return a sentence that says how to close the proof; empty if that is unknown."""
     told = verdict.explanation
     if told is not None and told.usual:
         return (
@@ -115,9 +115,9 @@ def suggestion(verdict: Verdict) -> str:
         return ""
     added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)
     if told.unassumed:
-        said = f"nothing is assumed of what {' and '.join(told.unassumed)} is after a step: it may be anything"
+        said = f"nothing is assumed about {' and '.join(told.unassumed)} after a step, so any value is possible"
         if not told.supposed:
-            return f"{said}; say what holds by an `assume` of the module"
+            return f"{said}; state what holds in an `assume` of the module"
         supposed = " and ".join(f"`{assumption}`" for assumption in told.supposed)
         more = f", and {added} in {verdict.invariant}" if added else ""
         return f"{said}; with {supposed}{more} it is PROVED"
@@ -136,7 +136,7 @@ def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
 
 
 def document(found: Iterable[tuple[Sequence[Verdict], Attacks]]) -> dict[str, Any]:
-    """All verdicts as JSON has them, for each number of robots with its attacks."""
+    """Return all verdicts for JSON, for each number of robots with its attacks."""
     return {"invariants": [_json(verdict, attacks) for verdicts, attacks in found for verdict in verdicts]}
 
 

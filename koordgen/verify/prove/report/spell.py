@@ -1,4 +1,4 @@
-"""Formulas as a program writes them: what is told to users and proposed to them is Koord."""
+"""Formulas as Koord text, for messages and suggestions to users."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_DIGITS = 9
 
 
 def spelled(node: ir.Expr) -> str:
-    """An expression in Koord, with no bracket too many."""
+    """Return an expression in Koord, without superfluous brackets."""
     return _text(node)[0]
 
 
@@ -26,7 +26,7 @@ def _in(node: ir.Expr, least: int) -> str:
 
 
 def _text(node: ir.Expr) -> tuple[str, int]:
-    """The text, and how tightly its loosest operator binds."""
+    """Return the text of an expression, and the precedence of its loosest operator."""
     match node:
         case ir.Widen(operand):
             return _text(operand)
@@ -62,7 +62,7 @@ def _conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _chained(parts: list[ir.Expr]) -> list[str]:
-    """The texts of conjuncts; `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
+    """Return the texts of conjuncts. `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
     found: list[str] = []
     last: ir.Expr | None = None
     for part in parts:
@@ -143,7 +143,7 @@ def _prime(primed: bool) -> str:
 
 
 def number(value: Fraction | int) -> str:
-    """A number exactly, where that can be read: digits that end, or a small fraction; otherwise rounded, with `~`."""
+    """Return a number exactly if that is readable: digits that end, or a small fraction; else rounded, after `~`."""
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)

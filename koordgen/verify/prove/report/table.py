@@ -1,4 +1,4 @@
-"""Counterexamples and runs, robot by variable, at most 100 columns wide; and as data."""
+"""Counterexamples and runs as tables of robots and variables, at most 100 columns wide, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHANGED = "*"
 
 
 def wrapped(text: str, indent: str = "  ") -> list[str]:
-    """A sentence over as many lines as it takes."""
+    """Return a sentence in as many lines as it needs."""
     lines = textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -28,7 +28,7 @@ def wrapped(text: str, indent: str = "  ") -> list[str]:
 
 
 def counterexample(found: Counterexample) -> Iterator[str]:
-    """The step, what it makes false, and the table of what was before and after it."""
+    """Yield the step, the conjunct that it makes false, and the table of values before and after it."""
     yield from wrapped(f"{_step(found)}:")
     yield from failed_lines(found.failed, found.discarded, found.file)
     yield ""
@@ -53,7 +53,7 @@ def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str
 
 
 def table(found: Counterexample) -> Iterator[str]:
-    """Robot by variable, before and after; what changed is marked."""
+    """Yield the table of robots and variables before and after a step, with a mark at each change."""
     constants = {"N_SYS": len(found.before.robots), **found.before.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("robot", "variable", "before", "after")]
@@ -63,11 +63,11 @@ def table(found: Counterexample) -> Iterator[str]:
         rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
     yield from _columns(rows)
     if any("~" in column for row in rows for column in row):
-        yield from wrapped("(all is reckoned exactly; numbers behind ~ are shown rounded)")
+        yield from wrapped("(all numbers are exact; those behind ~ are shown rounded)")
 
 
 def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
-    """Whose, which variable, before, after: of all that matters; a robot's own, then what is shared."""
+    """Yield owner, variable, value before and after, for relevant variables: robots' first, then shared ones."""
     before, after = found.before, found.after
     for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
         for name, value in own(before, pid).items():
@@ -86,14 +86,14 @@ def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
 
 
 def own(state: State, pid: int) -> dict[str, Any]:
-    """What belongs to a robot: its locals, its ports, its slots."""
+    """Return one robot's variables: its locals, its ports, its slots."""
     robot: Robot = state.robots[pid]
     slots = {name: values[pid] for name, values in state.store.slots.items()}
     return {**robot.ports, **robot.locals, **slots}
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Columns side by side, within WIDTH: what is too wide goes on below."""
+    """Yield columns side by side, within WIDTH. A cell that is too wide continues on further lines."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     room = WIDTH - 2 - 2 * (len(widths) - 1) - widths[0] - widths[1]
     for i in (2, 3):
@@ -115,7 +115,7 @@ def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
 
 
 def order_told(of_agents: bool) -> str:
-    """Say in words whether agents can do a run."""
+    """Return a sentence that says whether agents can execute a run."""
     if of_agents:
         return "the agents' order can do this run"
     return (
@@ -125,7 +125,7 @@ def order_told(of_agents: bool) -> str:
 
 
 def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
-    """A run, step by step: what each changes."""
+    """Yield a run step by step, with the changes of each."""
     first = moments[0].state
     constants = {"N_SYS": len(first.robots), **first.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
@@ -151,7 +151,7 @@ def _changes(old: State | None, new: State) -> Iterator[str]:
 
 
 def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
-    """As JSON has it."""
+    """Return a counterexample for JSON."""
     rows = [
         {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
         for owner, name, before, after in cells(found)
@@ -173,7 +173,7 @@ def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
 
 
 def moments_data(moments: Sequence[Moment]) -> list[dict[str, Any]]:
-    """A run as JSON has it."""
+    """Return a run for JSON."""
     return [_moment(m.event, m.pid, m.round, m.state) for m in moments]
 
 

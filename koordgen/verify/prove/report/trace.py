@@ -1,4 +1,4 @@
-"""A counterexample as a trace (see docs/sim.md), which simulators and replayers read."""
+"""Trace of a counterexample (docs/sim.md), which simulators and replayers can read."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from koordgen.verify.prove.report.model import Conjunct, Counterexample, plain_v
 from koordgen.verify.prove.report.reach import Moment, no_way
 from koordgen.verify.prove.report.spell import spelled
 
-UNMOVED = ("", "(environment)")  # moments at which no robot did anything
+UNMOVED = ("", "(environment)")  # steps in which no robot acts
 
-# What a callable port may say: to a robot, by what its sensors say, the port, the arguments.
+# (pid, values of the robot's sensors, port, arguments) -> possible answers of the callable port.
 Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 
 
 class About(NamedTuple):
-    """What a run was made with: the hash of the very program ("" where it has no numbers that robots have), the params
-    that it was given, what its callable ports may have said, its extern functions."""
+    """Origin of a run: the program's hash ("" if a run has numbers that robots do not have), the params given on the
+    command line, the possible answers of its callable ports, its extern functions."""
 
     program_hash: str = ""
     given: tuple[str, ...] = ()
@@ -48,8 +48,8 @@ class About(NamedTuple):
 
 
 def trace(program: decl.Program, told: Explanation, about: About) -> str:
-    """JSON lines: a header, then each step as a round of each robot, and where the robots are where a sensor tells; a
-    last one tells what is violated. One second stands for each round. Numbers that are no float are fractions, as text.
+    """Return JSON lines: a header, then each step as a round of each robot, with its position if a sensor measures it,
+    and the violation last. Each round takes one second. A number that is no float is a fraction, as text.
     """
     found = told.counterexample
     if found is None:
@@ -71,8 +71,8 @@ def run_trace(
     program: decl.Program, moments: tuple[Moment, ...], violated: tuple[str, int, str] | None, about: About,
     culprit: tuple[int, str] | None = None,
 ) -> str:  # fmt: skip
-    """A run; `violated`: the property that its last moment violates, its line in the program, and how. `culprit` is the
-    robot, and its event, that would come next and has no result, where that is what is wrong."""
+    """Return the trace of a run. `violated`: the property that its last state violates, its line in the program, and
+    details. `culprit`: the robot and the event that would come next but have no result, if that is the failure."""
     lines: list[TraceRecord] = [_header(program, moments, about), *_steps(program, moments, about)]
     if violated is not None:
         name, line, detail = violated
@@ -84,7 +84,7 @@ def run_trace(
 
 
 def _pair(found: Counterexample) -> tuple[Moment, ...]:
-    """An event, or init, or a step of the environment."""
+    """Return the states before and after an event, an `init` or a step of the environment."""
     if found.kind == "base":
         return Moment(found.before, "", None, 0), Moment(found.after, "init", None, 0)
     if found.kind == "environment":
@@ -151,7 +151,7 @@ Calls = list[tuple[str, list[Any], Any]]  # port, arguments, answer, in JSON
 
 
 def _calls(program: decl.Program, moments: tuple[Moment, ...], index: int, about: About) -> dict[int, Calls]:
-    """What callable ports were asked in a step, and said, by the robot that asked."""
+    """Return the calls of callable ports in a step with their answers, by the calling robot."""
     moment = moments[index]
     if moment.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
         return {}
@@ -160,11 +160,11 @@ def _calls(program: decl.Program, moments: tuple[Moment, ...], index: int, about
 
 
 def _asked(program: decl.Program, moments: tuple[Moment, ...], index: int, about: About, pid: int) -> Calls:
-    """The step is run again with all that may have been answered, until it does what it did."""
+    """Run the step again with every combination of possible answers, until its effect is that of the run."""
     moment, before = moments[index], moments[index - 1].state
     begun = next(m.state for m in reversed(moments[:index]) if m.round < moment.round or m is moments[0])
     pending: list[tuple[int, ...]] = [()]
-    for scripted in pending:  # grows meanwhile
+    for scripted in pending:  # grows within the loop
         script = _Script(about, before.robots[pid].ports, scripted)
         done = _again(program, moment.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):
@@ -179,7 +179,7 @@ def _asked(program: decl.Program, moments: tuple[Moment, ...], index: int, about
 def _again(
     program: decl.Program, name: str, before: State, begun: State, pid: int, world: World
 ) -> Writes | Discarded | None:
-    """A step of a round that began with the store of `begun`; None where it cannot be run."""
+    """Run a step of a round that began with the store of `begun`. None if the step cannot be run."""
     event = next((e for e in program.events if e.name == name), None)
     seen = before if event is None or event.lock is not None else before._replace(store=begun.store)
     try:
@@ -191,8 +191,8 @@ def _again(
 
 
 class _Script:
-    """Answers the callable ports in one run of a step: to the k-th question the `scripted[k]`-th of what may be said,
-    beyond it the first; equal questions the same."""
+    """Answers to callable ports in one run of a step. The k-th question gets its `scripted[k]`-th possible answer,
+    later questions the first one. Equal questions get equal answers."""
 
     def __init__(self, about: About, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted
@@ -212,7 +212,7 @@ class _Script:
         return self._given[key]
 
     def others(self) -> Iterator[tuple[int, ...]]:
-        """The scripts that first say something else at a question that this one did not foresee."""
+        """Yield scripts that answer one question differently that this script did not cover."""
         for place in range(len(self._scripted), len(self._options)):
             begin = (*self._scripted, *([0] * (place - len(self._scripted))))
             yield from ((*begin, other) for other in range(1, self._options[place]))

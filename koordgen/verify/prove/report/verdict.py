@@ -1,7 +1,7 @@
-"""From obligations to verdicts: asks the solver, drops what fails and proves the rest again, explains what fails.
+"""Verdicts of invariants: asks the solver, drops failed invariants and proves the rest again, explains failures.
 
-PROVED is said only when every obligation of an invariant got the answer that proves it, with hypotheses that are
-themselves PROVED and assumptions that were seen to be consistent. Everything else is something else.
+PROVED is given only if every obligation of an invariant got the answer that proves it, with hypotheses that are
+themselves PROVED and assumptions that were shown to be consistent. In all other cases the verdict is a different one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
 from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
-if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
+if TYPE_CHECKING:  # Explainer runs programs: a proof needs none of that, and its import takes long
     from koordgen.verify.prove.report.explain import Explanation
 
 Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
@@ -28,7 +28,7 @@ MORE: tuple[Detail, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
-    """A checked program; for how many robots (None: any number); params that are fixed, the others being any."""
+    """A checked program, its number of robots (None: any number), and its fixed params. Other params are arbitrary."""
 
     program: decl.Program
     robots: int | None = None
@@ -36,8 +36,8 @@ class Question(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """The solver's answers to all obligations, once none of what is assumed at heads of loops fails: `dropped` was
-    tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
+    """Answers to all obligations, after no formula that is assumed at a loop's head fails any more. `dropped`: such
+    formulas that failed. `lost`: the failed obligations of invariants that the program states at loops."""
 
     outcomes: list[ObligationResult]
     dropped: frozenset[HeadFormula]
@@ -45,7 +45,7 @@ class Asked(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """`reason` says why it is no proof, in a sentence; `rests_on` are the other invariants that a proof uses."""
+    """Verdict of one invariant. `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
 
     invariant: str
     verdict: Name
@@ -58,7 +58,7 @@ class Verdict(NamedTuple):
 
 
 def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
-    """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
+    """Return a verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
     asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
@@ -95,7 +95,7 @@ def _explained(
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
 ) -> dict[str, Explanation]:
-    """Why each fails; `proved` has the invariants that are PROVED."""
+    """Return explanations of the failed invariants by name. `proved` is the program with only the PROVED invariants."""
     if not failed:
         return {}
     from koordgen.verify.prove.report.explain import Explainer
@@ -107,7 +107,7 @@ def _explained(
 def _settled(
     question: Question, program: decl.Program, solver: Solver | CrossCheck, before: Asked, more: Sequence[Detail] = MORE
 ) -> Asked:
-    """Ask, and drop what fails at the heads of loops, until nothing fails there."""
+    """Ask all obligations; drop formulas that fail at heads of loops, and ask again, until none fails there."""
     dropped, lost = before.dropped, dict(before.lost)
     while True:
         outcomes = _asked(question, program, solver, dropped, more)
@@ -127,8 +127,8 @@ def _asked(
     dropped: frozenset[HeadFormula],
     more: Sequence[Detail],
 ) -> list[ObligationResult]:
-    """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
-    told, where that is something else."""
+    """Return the results of all obligations, with few facts at first. Those that fail are asked again with more facts,
+    if that changes their text."""
     robots, params = question.robots, question.params
     found = [
         ObligationResult(*each)
@@ -136,20 +136,21 @@ def _asked(
     ]
     for told in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
-            break  # with more told, formulas only grow
+            break  # more facts only make formulas larger
         others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
 def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> Asked | None:
-    """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
-    assumptions are consistent must be seen for this number. None, where something does not hold for every number."""
+    """Prove for any number of robots what is asked for one number. What holds for every number holds for this one, and
+    is decided faster. Consistency of the assumptions must still be shown for this number. None if something does not
+    hold for every number."""
     if question.robots is None:
         return None
     general = _settled(question._replace(robots=None), program, solver, Asked([], frozenset(), {}), MORE[:1])
-    # SOUND: all of them or none: what holds behind a loop rests on what its turns keep, of which nothing is asked where
-    # it is written out.
+    # SOUND: all results or none. What holds after a cut loop rests on its invariants, which have no obligations if the
+    # loop is unrolled.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
         return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
@@ -170,7 +171,7 @@ def _again(
 
 
 def _groups(outcomes: Sequence[ObligationResult]) -> dict[str, tuple[ObligationResult, ...]]:
-    """The obligations of each invariant."""
+    """Return the results of each invariant's obligations."""
     found: dict[str, list[ObligationResult]] = {}
     for outcome in outcomes:
         if outcome.obligation.kind != "consistency":
@@ -186,7 +187,7 @@ def _names(program: decl.Program, asked: Asked) -> list[str]:
 
 
 def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
-    """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
+    """Return a contradiction among the assumptions, and why consistency is undecided; both empty if it is shown."""
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation
@@ -194,18 +195,18 @@ def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossChe
             continue
         if outcome.answer.result == "unknown":
             place = f"{obligation.name} ({obligation.file}:{obligation.line})"
-            doubt = f"{place}: whether the assumptions contradict one another was not decided: {outcome.answer.reason}"
+            doubt = f"{place}: consistency of the assumptions is undecided: {outcome.answer.reason}"
             continue
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
         told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
         state = "state of two robots or more" if obligation.event == OF_TWO else "state"
-        return f"no {state} satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
+        return f"no {state} satisfies {' and '.join(told) or 'the assumptions'}: anything follows from that", ""
     return "", doubt
 
 
 def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | CrossCheck) -> bool:
-    """Return whether an event cannot get to its end for reasons of its own, whatever is assumed of what it calls."""
+    """Return whether an event cannot reach its end even without the assumptions about its calls."""
     if not obligation.event or answer.result != "unsat":
         return False
     own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
@@ -231,7 +232,7 @@ def _verdict(
 
 
 def _rests_on(name: str, group: tuple[ObligationResult, ...], program: decl.Program) -> tuple[str, ...]:
-    """The other invariants whose lines stand among the facts of this one's obligations."""
+    """Return the other invariants that are among the facts of an invariant's obligations."""
     lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
     return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])
