@@ -141,7 +141,7 @@ class _Search:
             return False
 
     def starts(self, n_sys: int) -> Iterator[State]:
-        """Yield initial states: all robots' sensors have every combination of pool values, the first ones first."""
+        """Yield at most `bounds.moves` initial states, with combinations of pool values for robots' sensors."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)

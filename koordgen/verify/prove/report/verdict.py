@@ -58,7 +58,7 @@ class Verdict(NamedTuple):
 
 
 def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
-    """Return a verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
+    """Return a verdict for each invariant, in the program's order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
     asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
