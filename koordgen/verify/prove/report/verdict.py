@@ -80,11 +80,11 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
     found, ledger = [], Ledger(question.program)
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
-        told = explained.get(name)
-        verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
+        explanation = explained.get(name)
+        verdict, reason = _verdict(question.program, group, explanation, contradiction, doubt)
         assumed = ledger.of([o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
-        found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
+        found.append(Verdict(name, verdict, question.robots, group, reason, explanation, rests, assumed))
     return found
 
 
@@ -134,10 +134,10 @@ def _asked(
         ObligationResult(*each)
         for each in solver.ask_all(obligation_groups(program, robots, params, "little", dropped))
     ]
-    for told in more:
+    for detail in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
             break  # more facts only make formulas larger
-        others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
+        others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
@@ -199,9 +199,9 @@ def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossChe
             continue
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
-        told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
+        conflicting = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
         state = "state of two robots or more" if obligation.event == OF_TWO else "state"
-        return f"no {state} satisfies {' and '.join(told) or 'the assumptions'}: anything follows from that", ""
+        return f"no {state} satisfies {' and '.join(conflicting) or 'the assumptions'}: anything follows from that", ""
     return "", doubt
 
 
@@ -214,20 +214,20 @@ def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | Cros
 
 
 def _verdict(
-    program: decl.Program, group: tuple[ObligationResult, ...], told: Explanation | None, contradiction: str, doubt: str
+    program: decl.Program, group: tuple[ObligationResult, ...], explanation: Explanation | None, contradiction: str, doubt: str
 ) -> tuple[Name, str]:
     if contradiction:
         return "VACUOUS", contradiction
-    if told is not None and told.run is not None:
+    if explanation is not None and explanation.run is not None:
         return "FALSIFIED", ""
-    if told is not None and told.counterexample is not None:
+    if explanation is not None and explanation.counterexample is not None:
         return "NOT INDUCTIVE", ""
     failing = [o for o in group if not o.holds]
     if failing:
         first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
         from koordgen.verify.prove.report import doubt as doubts
 
-        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, told.unshown if told else "")
+        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, explanation.unshown if explanation else "")
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 
