@@ -28,7 +28,7 @@ from koordgen.experiment.validate.suggest import Suggestion, suggestions
 from koordgen.experiment.validate.verdict import Bound, Case, Verdict, verdicts
 from koordgen.fleet import manifest
 from koordgen.lang.check.sections.params import Value
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
 LIMITS = Limits(query=10.0, total=60.0)
@@ -131,7 +131,7 @@ def _start_noise(bundle: Mapping[str, bytes]) -> float:
 def _texts(checked: Checked) -> dict[int, str]:
     """The assumptions as the program has them, by line."""
     return {
-        a.span.line: spelled(a.formula).replace(f"{m.name}.", "")
+        a.span.line: to_koord(a.formula).replace(f"{m.name}.", "")
         for m in checked.program.modules
         for a in m.assumptions
     }

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from koordgen.lang.ir.expr import Expr
     from koordgen.verify.attack.judge import Contradiction, Followed, Trial
     from koordgen.verify.prove.report.show import Attacks
-    from koordgen.verify.prove.report.verdict import Verdict
+    from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 LEAST = 0.001  # seconds for each number of robots that was asked for, however many there are
@@ -23,7 +23,7 @@ LEAST = 0.001  # seconds for each number of robots that was asked for, however m
 def attacked(
     program: Program,
     params: Mapping[str, Expr],
-    found: list[list[Verdict]],
+    found: list[list[InvariantVerdict]],
     solver: Solver | CrossCheck,
     options: Namespace,
 ) -> list[Attacks]:
@@ -42,30 +42,34 @@ def attacked(
 
 
 def _attacked(
-    program: Program, params: Mapping[str, Expr], verdicts: list[Verdict], solver: Solver | CrossCheck, seconds: float
+    program: Program,
+    params: Mapping[str, Expr],
+    verdicts: list[InvariantVerdict],
+    solver: Solver | CrossCheck,
+    seconds: float,
 ) -> tuple[Attacks, Contradiction | None, float]:
     """Attack the verdicts for one number of robots; return also the seconds that this took."""
-    from koordgen.verify.prove.report.show import Attacked
+    from koordgen.verify.prove.report.show import AttackCount
 
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
     outcomes = [(v, o.obligation) for v in verdicts for o in v.outcomes]
     if not proved or not seconds:
         why = "the attack is switched off by `--attack 0`"
         unproved = "the verdict is not PROVED"
-        return {o.name: Attacked(0, why if v.verdict == "PROVED" else unproved) for v, o in outcomes}, None, 0.0
+        return {o.name: AttackCount(0, why if v.verdict == "PROVED" else unproved) for v, o in outcomes}, None, 0.0
     from koordgen.verify.attack.attack import attack
 
     said = attack(program, proved, verdicts[0].robots, params, solver, seconds)
     attacks = {
-        o.name: Attacked(*said.of(o.event, o.invariant))
+        o.name: AttackCount(*said.of(o.event, o.invariant))
         if v.verdict == "PROVED"
-        else Attacked(0, "the verdict is not PROVED")
+        else AttackCount(0, "the verdict is not PROVED")
         for v, o in outcomes
     }
     return attacks, said.contradiction, said.seconds
 
 
-def _unsound(verdicts: list[Verdict], contradiction: Contradiction) -> list[Verdict]:
+def _unsound(verdicts: list[InvariantVerdict], contradiction: Contradiction) -> list[InvariantVerdict]:
     """Return the verdicts that remain: those that rest on a contradicted one become UNKNOWN."""
     name, why = contradiction.breach
     reason = f"the prover said PROVED, and the executable semantics contradicts it: {_where(contradiction)}, {why}"
@@ -87,7 +91,7 @@ def _where(contradiction: Contradiction) -> str:
     return f"after {step}, in a fleet of {robots}"
 
 
-def _report(program: Program, path: str, verdicts: list[Verdict], contradiction: Contradiction) -> None:
+def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contradiction: Contradiction) -> None:
     """Write the contradiction to a file, and ask for a report."""
     from koordgen.build.emit.program import program_hash
     from koordgen.verify.attack.file import written
@@ -147,20 +151,20 @@ def again(options: Namespace) -> int:
 
 def _shown(program: Program, trial: Trial, followed: Followed) -> Iterator[str]:
     """The state, the steps and what each changes, which part of the invariant is false."""
-    from koordgen.verify.prove.report.model import failing
-    from koordgen.verify.prove.report.reach import Moment
-    from koordgen.verify.prove.report.table import failed_lines, moment_lines
+    from koordgen.verify.prove.report.model import failing_conjunct
+    from koordgen.verify.prove.report.reach import RunState
+    from koordgen.verify.prove.report.table import failed_lines, run_state_lines
 
     first, *others = followed.states
-    moments = [Moment(first, "", None, first.round)]
+    run_states = [RunState(first, "", None, first.round)]
     for act, state in zip(trial.acts, others, strict=True):
-        moments.append(Moment(state, act.event, act.pid, moments[-1].state.round))
-    yield from moment_lines(moments)
+        run_states.append(RunState(state, act.event, act.pid, run_states[-1].state.round))
+    yield from run_state_lines(run_states)
     contradiction = followed.contradiction
     for property_ in program.properties:
         if contradiction is not None and (property_.kind, property_.name) == (
             "invariant",
             contradiction.breach.invariant,
         ):
-            failed = failing(property_, program, contradiction.after)
+            failed = failing_conjunct(property_, program, contradiction.after)
             yield from failed_lines(failed, "", program.path) if failed is not None else ()

@@ -111,8 +111,8 @@ def _searched(
             again = second.run().violation
         if again is None or again.name != found.name or not _of_agents(again, program, about(), left()):
             return result._replace(violation=found)
-        rounds = found.moments[-1].round
-        more = rounds < again.moments[-1].round
+        rounds = found.run_states[-1].round
+        more = rounds < again.run_states[-1].round
         return result._replace(violation=again._replace(shortest=rounds if more else None))
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
@@ -125,7 +125,7 @@ def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
     theirs for each robot: they commit one transaction for each lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
-    rounds = found.moments[-1].round * len(found.moments[0].state.robots)
+    rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
     return Bounds(rounds, min(states, bounds.states or states), seconds)
 
 
@@ -133,7 +133,7 @@ def _of_agents(found: Violation, program: Program, about: About, seconds: float 
     """Return whether agents can do each round of a run; an event without a result is a part of it. Where that takes
     more than
     `seconds` to find out, the answer is False."""
-    run = found.moments if found.culprit is None else (*found.moments, found.culprit)
+    run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)
     try:
         with alarm(seconds):
             return is_order_of_agents(program, run, World(about.externs, nobody))

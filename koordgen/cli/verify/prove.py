@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from koordgen.lang.ir.expr import Expr
     from koordgen.lang.source import Source
     from koordgen.verify.prove.report.show import Attacks
-    from koordgen.verify.prove.report.verdict import Verdict
+    from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 ALL_QUERIES = 60.0  # seconds, at least
@@ -85,7 +85,7 @@ def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
 
 def asked(
     program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
-) -> list[list[Verdict]]:
+) -> list[list[InvariantVerdict]]:
     """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm
     from koordgen.lang.semantics.deadline import OutOfTime
@@ -103,12 +103,12 @@ def asked(
     return found
 
 
-def undecided(program: Program, robots: int | None, reason: str) -> list[Verdict]:
+def undecided(program: Program, robots: int | None, reason: str) -> list[InvariantVerdict]:
     """UNKNOWN of every invariant: the proof as a whole was given up."""
-    from koordgen.verify.prove.report.verdict import Verdict
+    from koordgen.verify.prove.report.verdict import InvariantVerdict
 
     names = [p.name for p in program.properties if p.kind == "invariant"]
-    return [Verdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
+    return [InvariantVerdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
@@ -123,7 +123,7 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
         raise Failure(USAGE, str(error)) from None
 
 
-def status(found: list[list[Verdict]]) -> int:
+def status(found: list[list[InvariantVerdict]]) -> int:
     """The worst of all verdicts: a violation before what is not known."""
     said = {verdict.verdict for verdicts in found for verdict in verdicts}
     if "UNSOUND" in said:
@@ -133,7 +133,7 @@ def status(found: list[list[Verdict]]) -> int:
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def tell_verdicts(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
+def tell_verdicts(options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks]) -> None:
     from koordgen.cli.base.terminal import coloured_verdicts
     from koordgen.verify.prove.report.show import document, report
 
@@ -147,7 +147,11 @@ def tell_verdicts(options: Namespace, found: list[list[Verdict]], attacks: list[
 
 
 def files(
-    source: Source, program: Program, params: Mapping[str, Expr], robots: list[int | None], found: list[list[Verdict]]
+    source: Source,
+    program: Program,
+    params: Mapping[str, Expr],
+    robots: list[int | None],
+    found: list[list[InvariantVerdict]],
 ) -> dict[str, bytes]:
     """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last, with
     the names of all cells."""
@@ -163,7 +167,7 @@ def files(
     return folder(made, lambda _, line: source.line(line))
 
 
-def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[Verdict]]) -> str:
+def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
     """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
     from koordgen.lang.check.sections.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
@@ -176,7 +180,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
         return ""
     first = next((t for t in told if t.run is not None), told[0])
     assert first.counterexample is not None
-    state = first.run.moments[0].state if first.run is not None else first.counterexample.before
+    state = first.run.run_states[0].state if first.run is not None else first.counterexample.before
     values = {}
     try:
         for p in program.params:

@@ -27,8 +27,8 @@ from koordgen.lang.semantics.step import Step, applied, enabled, execute, run_in
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Span
 from koordgen.verify.attack.ports import TURNS, Answer, Draw, Ports
-from koordgen.verify.prove.report.model import allowed
-from koordgen.verify.prove.report.reading import Unshowable
+from koordgen.verify.prove.report.model import is_allowed
+from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
@@ -298,7 +298,7 @@ class Judge:
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
         """Return whether the assumptions allow that a robot's ports become these. Raises Unusable."""
         try:
-            return allowed(self.program, now.robots[pid].ports, ports, pid, now)
+            return is_allowed(self.program, now.robots[pid].ports, ports, pid, now)
         except (Unshowable, NotExact, NoMeaning, InternalError) as error:
             raise self._unusable(ENVIRONMENT, str(error)) from None
 

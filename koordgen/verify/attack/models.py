@@ -21,8 +21,8 @@ from koordgen.verify.prove.encode.scope import FleetScope
 from koordgen.verify.prove.encode.state import ArbitraryState
 from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.part_encoder import PartEncoder, ProofProblem
-from koordgen.verify.prove.report.model import Reading
-from koordgen.verify.prove.report.reading import Reader, Unshowable
+from koordgen.verify.prove.report.model import ModelStates
+from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
@@ -82,7 +82,7 @@ class Models:
                 self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
                 return None
             asked.reader.answered(answer.values)
-            return Reading(self.exact, asked.obligation, asked.reader, robots).state("before")
+            return ModelStates(self.exact, asked.obligation, asked.reader, robots).state("before")
         except (Unshowable, SolverMissing, NotExact, Discarded) as error:
             self.why = f"the solver's states cannot be run: {error}"
             return None
@@ -162,6 +162,6 @@ class _Asked:
 
     def __init__(self, obligation: Obligation) -> None:
         self.obligation = obligation
-        self.reader = Reader(obligation)
+        self.reader = ModelReader(obligation)
         self.parts = list(dict.fromkeys([term for cell in obligation.cells for term in cell.terms]))
         self.useless = False

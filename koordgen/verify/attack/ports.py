@@ -15,7 +15,7 @@ from koordgen.lang.semantics.exec import NoMeaning
 from koordgen.lang.semantics.property import Asked
 from koordgen.lang.semantics.state import NOTHING, State, World
 from koordgen.lang.semantics.values import Value
-from koordgen.verify.prove.report.reading import Unshowable, answered
+from koordgen.verify.prove.report.model_reader import Unshowable, answered
 
 TURNS = 2_000  # of loops of one event: an event that turns more often is given up, and shows nothing
 

@@ -24,7 +24,7 @@ from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import RecordValue, Value, default
 from koordgen.runtime.values.points import Point, Pose
-from koordgen.verify.prove.report.model import made_state, with_values
+from koordgen.verify.prove.report.model import exact_state, with_values
 from koordgen.verify.prove.report.reach import Pools
 
 VALUES = 16  # of one type that are drawn from
@@ -92,7 +92,7 @@ class States:
     def _blank(self, values: Mapping[str, Value]) -> State:
         """One robot before any `init`, with these params."""
         if values or self.usual is None:
-            found = made_state(initial(with_values(self.program, values), 1))
+            found = exact_state(initial(with_values(self.program, values), 1))
             if values:
                 return found
             self.usual = found

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from koordgen.lang.ir import decl
 from koordgen.verify.audit.finding import Finding
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.ledger import Entry, Ledger
+from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 
 _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "contract"}
 
@@ -20,9 +20,9 @@ class Blame:
     break first; and what was not seen throughout, so that it may have broken."""
 
     invariant: Finding
-    rests: tuple[Entry, ...]
-    broke: tuple[tuple[Entry, Finding], ...]
-    unseen: tuple[Entry, ...]
+    rests: tuple[LedgerEntry, ...]
+    broke: tuple[tuple[LedgerEntry, Finding], ...]
+    unseen: tuple[LedgerEntry, ...]
 
 
 def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
@@ -43,7 +43,7 @@ def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
     return found
 
 
-def _blame(invariant: Finding, rests: tuple[Entry, ...], findings: Sequence[Finding]) -> Blame:
+def _blame(invariant: Finding, rests: tuple[LedgerEntry, ...], findings: Sequence[Finding]) -> Blame:
     assert invariant.first is not None
     broke, unseen = [], []
     for entry in rests:

@@ -11,7 +11,6 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
 from koordgen.verify.audit.finding import AFTER, Finding, Moment, Outcome, Violation
 from koordgen.verify.audit.story import Mission, Story
-from koordgen.verify.prove.report.spell import spelled
 from koordgen.verify.replay.robot import OVERRAN
 
 _CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/program/extern.py words it
@@ -21,7 +20,7 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
     """A finding for each line of a contract, and last one that every program has: that no event is discarded for a
     reason of the program's. Robots do not tell each call: what is counted are events."""
     found = {
-        formula.span.line: Finding("contract", f"{extern.name} {word} {spelled(formula)}", formula.span.line)
+        formula.span.line: Finding("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
         for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures))
         for formula in formulas
@@ -68,7 +67,7 @@ def loops(program: decl.Program, mission: Mission) -> list[Finding]:
                 broken = line in record.get("violated", ())
                 told.append(("violated" if broken else "held", ""))
                 if broken and finding.first is None:
-                    read = (f"in {record.get('event') or 'init'}: {spelled(invariants[line].formula)}",)
+                    read = (f"in {record.get('event') or 'init'}: {to_koord(invariants[line].formula)}",)
                     finding.first = Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
             finding.close(round_, told, of_each=True)
     return list(found.values())

@@ -18,8 +18,8 @@ from koordgen.verify.explore.invariants import Invariants
 from koordgen.verify.explore.machine import Choice, Discard, Machine, Packed
 from koordgen.verify.explore.rounds import Came, Node, Rounds, steps
 from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
-from koordgen.verify.prove.report.model import Conjunct, failing
-from koordgen.verify.prove.report.reach import Moment
+from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
+from koordgen.verify.prove.report.reach import RunState
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
 LOOP = "line "  # prefix of a loop invariant's name; its line follows
@@ -53,10 +53,10 @@ class Violation(NamedTuple):
 
     name: str
     line: int
-    moments: tuple[Moment, ...]
+    run_states: tuple[RunState, ...]
     failed: Conjunct | None
     reason: str
-    culprit: Moment | None = None
+    culprit: RunState | None = None
     of_agents: bool = True
     shortest: int | None = None
 
@@ -157,8 +157,8 @@ class Search:
         for before, after in self._starts():
             alike = self.alike(after)
             if self.machine.discards:
-                moments = [Moment(self.machine.state(before, 0), "", None, 0)]
-                return self._discarded(self.machine.discards[0], moments, before, 0), ""
+                run_states = [RunState(self.machine.state(before, 0), "", None, 0)]
+                return self._discarded(self.machine.discards[0], run_states, before, 0), ""
             if alike not in self.begin:
                 self.begin[alike], self.known[alike] = before, None
                 layer.append(alike)
@@ -279,84 +279,89 @@ class Search:
             pending += dict.fromkeys(new)
         return True
 
-    def _run_to(self, fleet: Packed) -> list[Moment]:
+    def _run_to(self, fleet: Packed) -> list[RunState]:
         """How a state at a round's end came about, by the robots that really took the steps."""
         return self._way_to(fleet)[0]
 
-    def _way_to(self, fleet: Packed) -> tuple[list[Moment], Packed]:
+    def _way_to(self, fleet: Packed) -> tuple[list[RunState], Packed]:
         """The same, with the fleet to which it leads."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
         before = self.begin[chain[-1]]
         at = next(after for after in self.machine.begun(before) if self.alike(after) == chain[-1])
-        moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
+        run_states = [
+            RunState(self.machine.state(before, 0), "", None, 0),
+            RunState(self.machine.state(at), "init", None, 0),
+        ]
         for number, target in enumerate(reversed(chain[:-1]), 1):
-            at = self._step_to(moments, at, target, number)
-        return moments, at
+            at = self._step_to(run_states, at, target, number)
+        return run_states, at
 
-    def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
+    def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
         """One round's moments, to a fleet that `target` stands for; yields that fleet."""
         found = self.exact.ways(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
                 if self.alike(moved) == target:
-                    moments += self._taken(found, node, number)
+                    run_states += self._taken(found, node, number)
                     if self.machine.sensors:
-                        moments.append(Moment(self.machine.state(moved, number + 1), "(environment)", None, number))
+                        run_states.append(
+                            RunState(self.machine.state(moved, number + 1), "(environment)", None, number)
+                        )
                     return moved
         raise InternalError("a state that was explored has no parent that leads to it")
 
-    def _within(self, fleet: Packed, end: Packed) -> list[Moment]:
+    def _within(self, fleet: Packed, end: Packed) -> list[RunState]:
         """A run to a state that goes on to a fleet within the round, which `end` stands for."""
-        moments, at = self._way_to(fleet)
-        number = moments[-1].round + 1
+        run_states, at = self._way_to(fleet)
+        number = run_states[-1].round + 1
         found = self.exact.ways(at)
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
-        return [*moments, *self._taken(found, node, number)]
+        return [*run_states, *self._taken(found, node, number)]
 
-    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[Moment]:
+    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[RunState]:
         for pid, event, fleet in steps(found, node):
-            yield Moment(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
+            yield RunState(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
-    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> Moment:
+    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> RunState:
         """The moment after an event in which a loop invariant is false."""
         machine = self.machine
         if found.event < 0:  # the others run init, too
             begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
-            return Moment(machine.state(begun), event, None, 0)
-        return Moment(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
+            return RunState(machine.state(begun), event, None, 0)
+        return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
-    def _broken(self, moments: list[Moment]) -> Violation:
+    def _broken(self, run_states: list[RunState]) -> Violation:
         """The invariant that is false at the last moment, by the executable semantics."""
-        program, state = self.machine.program, moments[-1].state
+        program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
-            if failed := failing(property_, program, state):
-                return Violation(property_.name, property_.span.line, tuple(moments), failed, "")
+            if failed := failing_conjunct(property_, program, state):
+                return Violation(property_.name, property_.span.line, tuple(run_states), failed, "")
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> Violation:
         """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
         steps before it."""
-        moments, at = self._way_to(fleet)
-        number = moments[-1].round + 1
+        run_states, at = self._way_to(fleet)
+        number = run_states[-1].round + 1
         self.machine.discards.clear()
         found = self.exact.ways(at)
-        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, moments[-1].round + 1
+        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, run_states[-1].round + 1
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
-            moments += self._taken(found, node, number)
+            run_states += self._taken(found, node, number)
             at = node[1]
-        return self._discarded(discard, moments, at, number)
+        return self._discarded(discard, run_states, at, number)
 
-    def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
+    def _discarded(self, found: Discard, run_states: list[RunState], at: Packed, number: int) -> Violation:
         """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
-            moments.append(self._false_in(found, found.choice, event, at, number))
+            run_states.append(self._false_in(found, found.choice, event, at, number))
             reason = f"{found.reason} in {event} of robot {found.pid}"
-            return Violation(f"{LOOP}{found.line}", found.line, tuple(moments), None, reason)
+            return Violation(f"{LOOP}{found.line}", found.line, tuple(run_states), None, reason)
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
-        culprit = Moment(moments[-1].state, event, found.pid, number)
-        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, culprit)
+        culprit = RunState(run_states[-1].state, event, found.pid, number)
+        return Violation(WELL_DEFINED, found.line, tuple(run_states), None, reason, culprit)

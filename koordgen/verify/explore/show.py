@@ -11,8 +11,15 @@ from koordgen.lang.ir import decl
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Point
 from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
-from koordgen.verify.prove.report.spell import spelled
-from koordgen.verify.prove.report.table import WIDTH, failed_lines, moment_lines, moments_data, order_told, own
+from koordgen.verify.prove.report.koord_text import to_koord
+from koordgen.verify.prove.report.table import (
+    WIDTH,
+    agent_order_text,
+    failed_lines,
+    own,
+    run_state_lines,
+    run_states_data,
+)
 from koordgen.verify.prove.report.trace import About, run_trace
 
 
@@ -56,7 +63,7 @@ def _explored(result: Result) -> str:
 
 
 def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
-    rounds = found.moments[-1].round
+    rounds = found.run_states[-1].round
     after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
@@ -65,13 +72,13 @@ def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
     if found.shortest is not None:
         fewer = f"the language allows it after {found.shortest}, in an order that agents do not have"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
-    yield from moment_lines(found.moments)
+    yield from run_state_lines(found.run_states)
     if found.failed is not None:
         yield from failed_lines(found.failed, "", program.path)
     else:
         place = f"  ({program.path}:{found.line})" if found.line else ""
         yield from _wrapped(f"  {found.reason}{place}")
-    yield from _wrapped(order_told(found.of_agents))
+    yield from _wrapped(agent_order_text(found.of_agents))
 
 
 def _wrapped(text: str) -> list[str]:
@@ -103,36 +110,36 @@ def _data(found: Violation) -> dict[str, Any]:
     return {
         "what": found.name,
         "line": found.failed.formula.span.line if found.failed else found.line,
-        "conjunct": spelled(found.failed.formula) if found.failed else found.reason,
-        "rounds": found.moments[-1].round,
-        "shortest": found.moments[-1].round if found.shortest is None else found.shortest,
+        "conjunct": to_koord(found.failed.formula) if found.failed else found.reason,
+        "rounds": found.run_states[-1].round,
+        "shortest": found.run_states[-1].round if found.shortest is None else found.shortest,
         "order_of_agents": found.of_agents,
-        "run": moments_data(found.moments),
+        "run": run_states_data(found.run_states),
     }
 
 
 def trace(found: Violation, program: decl.Program, about: About) -> str:
     """Return the run as a trace."""
     line = found.failed.formula.span.line if found.failed else found.line
-    detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
+    detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason
     culprit = None
     if found.culprit is not None and found.culprit.pid is not None:
         culprit = found.culprit.pid, found.culprit.event
-    return run_trace(program, found.moments, (found.name, line, detail), about, culprit)
+    return run_trace(program, found.run_states, (found.name, line, detail), about, culprit)
 
 
 def itf(found: Violation, program: decl.Program) -> str:
     """The run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
-    robots = range(len(found.moments[0].state.robots))
+    robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
-    names = [*own(found.moments[0].state, 0), "stopped"]
+    names = [*own(found.run_states[0].state, 0), "stopped"]
     states = []
-    for index, moment in enumerate(found.moments):
-        held = [{**own(moment.state, pid), "stopped": moment.state.robots[pid].stopped} for pid in robots]
-        state: dict[str, Any] = {"#meta": {"index": index}, "step": moment.event or "the beginning"}
-        state |= {"robot": _itf(-1 if moment.pid is None else moment.pid), "round": _itf(moment.round)}
+    for index, run_state in enumerate(found.run_states):
+        held = [{**own(run_state.state, pid), "stopped": run_state.state.robots[pid].stopped} for pid in robots]
+        state: dict[str, Any] = {"#meta": {"index": index}, "step": run_state.event or "the beginning"}
+        state |= {"robot": _itf(-1 if run_state.pid is None else run_state.pid), "round": _itf(run_state.round)}
         state |= {name: {"#map": [[_itf(pid), _itf(held[pid][name])] for pid in robots]} for name in names}
-        states.append(state | {name: _itf(moment.state.store.cells[name]) for name in cells})
+        states.append(state | {name: _itf(run_state.state.store.cells[name]) for name in cells})
     meta = {"format": "ITF", "source": program.path, "description": f"{found.name} is violated"}
     document = {"#meta": meta, "vars": ["step", "robot", "round", *names, *cells], "states": states}
     return json.dumps(document, indent=1) + "\n"

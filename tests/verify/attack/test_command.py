@@ -11,7 +11,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
 from koordgen.verify.prove.smt.solve import ObligationResult, SolverAnswer
 from tests.verify.attack.faults import FAULTS, ticks
 from tests.verify.prove.programs import COUNTER, STRONG
@@ -36,7 +36,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
 def forged(monkeypatch: pytest.MonkeyPatch) -> None:
     """A prover that says PROVED of everything."""
 
-    def forge(question: Question, solver: Any) -> list[Verdict]:
+    def forge(question: Question, solver: Any) -> list[InvariantVerdict]:
         found, said = prove(question, solver), []
         names = [v.invariant for v in found]
         for verdict in found:

@@ -10,7 +10,7 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, run_init
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Act, Followed, Judge, Refused, Trial, Unusable
-from koordgen.verify.prove.report.model import made_state
+from koordgen.verify.prove.report.model import exact_state
 from tests.verify.attack.faults import attacked, broken
 from tests.verify.prove.told import checked
 
@@ -135,14 +135,14 @@ def judge() -> Judge:
 def begun(a: int = 1, level: int = 0) -> State:
     """One robot at a round's start."""
     program = exact(checked(COUNTER))
-    state = run_init(program, made_state(initial(program, 1)))[0]
+    state = run_init(program, exact_state(initial(program, 1)))[0]
     robot = state.robots[0]
     return state._replace(robots=(robot._replace(locals={"a": a}, ports={"Dev.level": level}),))
 
 
 def launched(level: int = 0) -> State:
     program = exact(checked(COUNTER))
-    return made_state(initial(program, 1, [{"Dev.level": level}]))
+    return exact_state(initial(program, 1, [{"Dev.level": level}]))
 
 
 def moved(level: int) -> Act:

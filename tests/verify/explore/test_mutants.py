@@ -50,7 +50,7 @@ def test_a_mutant_is_caught_by_a_shortest_run(mutant: Mutant, tmp_path: Path) ->
     functions = EXAMPLES / f"{mutant.program}_functions.py"
     found = searched(program, around, functions, None).violation
     assert found is not None and found.name in mutant.caught.split(", ")
-    assert found.moments[-1].round == mutant.rounds
+    assert found.run_states[-1].round == mutant.rounds
     if mutant.rounds:
         plain = searched(program, around, functions, mutant.rounds - 1, symmetry=False, independence=False)
         assert plain.violation is None and plain.progress.depth == mutant.rounds - 1

@@ -17,8 +17,8 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import applied, initial, run_init
 from koordgen.verify.prove.obligations.generate import obligation_groups, obligations
 from koordgen.verify.prove.report.explain import invariant_of
-from koordgen.verify.prove.report.model import allowed, failing, made_state
-from koordgen.verify.prove.report.reach import Run
+from koordgen.verify.prove.report.model import exact_state, failing_conjunct, is_allowed
+from koordgen.verify.prove.report.reach import CounterexampleRun
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver
 from tests.verify.explore.random_programs import program
@@ -32,21 +32,21 @@ def checked(tmp_path: Path, text: str) -> Program:
     return check_file(str(path)).program
 
 
-def made_again(app: Program, run: Run, name: str) -> None:
+def made_again(app: Program, run: CounterexampleRun, name: str) -> None:
     """Each moment of a run follows from those before it by the semantics; the last one makes the invariant false."""
-    app, moments = exact(app), run.moments
-    first = moments[0].state
+    app, run_states = exact(app), run.run_states
+    first = run_states[0].state
     levels: list[dict[str, Any]] = [dict(robot.ports) for robot in first.robots]
-    assert first == made_state(initial(app, len(levels), levels))
+    assert first == exact_state(initial(app, len(levels), levels))
     assert all(0 <= level["Dev.level"] <= 2 for level in levels), "what holds initially"
-    assert moments[1].state == run_init(app, first)[0]
-    begun: State = moments[1].state
+    assert run_states[1].state == run_init(app, first)[0]
+    begun: State = run_states[1].state
     acted: set[int] = set()
-    for before, after in pairwise(moments[1:]):
+    for before, after in pairwise(run_states[1:]):
         if after.event == "(environment)":
             moved = zip(before.state.robots, after.state.robots, strict=True)
             for pid, (old, new) in enumerate(moved):
-                assert allowed(app, old.ports, new.ports, pid, before.state) and old.locals == new.locals
+                assert is_allowed(app, old.ports, new.ports, pid, before.state) and old.locals == new.locals
             assert before.state.store == after.state.store
             begun, acted = after.state, set()
             continue
@@ -55,7 +55,7 @@ def made_again(app: Program, run: Run, name: str) -> None:
         acted.add(pid)
         steps = [c for c in choices(app, before.state, pid, begun.store) if c.event == after.event]
         assert after.state in [applied(app, before.state, step) for step in steps]
-    assert failing(invariant_of(app, name), app, moments[-1].state) is not None
+    assert failing_conjunct(invariant_of(app, name), app, run_states[-1].state) is not None
 
 
 def runs(tmp_path: Path, seeds: Iterable[int]) -> int:

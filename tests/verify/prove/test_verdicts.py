@@ -12,11 +12,11 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.doubt import doubt
 from koordgen.verify.prove.report.explain import invariant_of
-from koordgen.verify.prove.report.model import failing, true, with_values
+from koordgen.verify.prove.report.model import failing_conjunct, is_true, with_values
 from koordgen.verify.prove.report.show import suggestion
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.report.unknown import unknown_reason
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver, SolverAnswer
 from tests.verify.prove.programs import CONTRADICTION, COUNTER, CUBES, DIVIDES, LINE, STRONG, TOKEN
 
@@ -33,7 +33,7 @@ def program_of(tmp_path: Path, text: str) -> Program:
     return check_file(str(path)).program
 
 
-def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, Verdict]:
+def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, InvariantVerdict]:
     return {v.invariant: v for v in prove(Question(program_of(tmp_path, text), robots, None), solver)}
 
 
@@ -85,8 +85,8 @@ def test_the_published_invariant_lacks_a_bound_on_targets_which_is_named(tmp_pat
     # Once more, by the semantics alone: true before, false after, by a step that the assumption allows.
     program = with_values(exact(program_of(tmp_path, LINE)), shown.before.params)
     geofence = invariant_of(program, "Geofence")
-    assert true(geofence, program, shown.before)
-    assert not true(geofence, program, shown.after)
+    assert is_true(geofence, program, shown.before)
+    assert not is_true(geofence, program, shown.after)
     numbers = [c for r in shown.after.robots for p in r.ports.values() for c in (p.x, p.y, p.z)]  # type: ignore[union-attr]
     assert all(type(number) is Fraction for number in numbers)
 
@@ -126,13 +126,15 @@ def test_a_false_invariant_comes_with_a_run_and_does_not_spoil_the_others(tmp_pa
     assert "Below" not in found["Small"].rests_on
     told = found["Below"].explanation
     assert told is not None and told.run is not None
-    events = [moment.event for moment in told.run.moments]
+    events = [moment.event for moment in told.run.run_states]
     assert events[:2] == ["", "init"] and events.count("Up") == 3
-    last = told.run.moments[-1].state
+    last = told.run.run_states[-1].state
     program = exact(program_of(tmp_path, COUNTER))
-    assert failing(invariant_of(program, "Below"), program, last) is not None
-    assert all(failing(invariant_of(program, "Below"), program, m.state) is None for m in told.run.moments[:-1])
-    acted = next(m.pid for m in told.run.moments if m.event == "Up")
+    assert failing_conjunct(invariant_of(program, "Below"), program, last) is not None
+    assert all(
+        failing_conjunct(invariant_of(program, "Below"), program, m.state) is None for m in told.run.run_states[:-1]
+    )
+    acted = next(m.pid for m in told.run.run_states if m.event == "Up")
     assert acted is not None and last.robots[acted].locals["third"] == Fraction(1)
 
 
@@ -186,7 +188,7 @@ def test_two_robots_that_read_the_same_moment_both_take_it(tmp_path: Path, solve
     assert found.verdict in ("FALSIFIED", "NOT INDUCTIVE")
     told = found.explanation
     assert told is not None
-    state = told.run.moments[-1].state if told.run else told.counterexample.after  # type: ignore[union-attr]
+    state = told.run.run_states[-1].state if told.run else told.counterexample.after  # type: ignore[union-attr]
     assert [robot.locals["mine"] for robot in state.robots] == [True, True]
 
 
@@ -269,7 +271,7 @@ invariant Light: forall i in ID: heavy[i] <= 5
 def test_a_run_is_found_past_events_that_cannot_be_run_exactly(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, ROUND, solver)["Sent"]
     assert found.verdict == "FALSIFIED"
-    assert [m.event for m in found.explanation.run.moments] == ["", "init", "Arrive"]  # type: ignore[union-attr]
+    assert [m.event for m in found.explanation.run.run_states] == ["", "init", "Arrive"]  # type: ignore[union-attr]
 
 
 def test_what_has_no_value_by_the_params_alone_is_told(tmp_path: Path, solver: Solver) -> None:
@@ -339,10 +341,10 @@ def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
     program = check_file(str(Path(__file__).parents[3] / "examples/task/separation.koord")).program
     obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
     late = SolverAnswer("unknown", 1.0, "z3 found no answer within 1 s; try a longer --timeout")
-    said = doubt(program, obligation, late, "")
+    said = unknown_reason(program, obligation, late, "")
     assert said.startswith("Clear-Assign (") and "--timeout. The obligation is linear" in said
     assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said
-    assert "facts" not in doubt(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
+    assert "facts" not in unknown_reason(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
 
 
 MAPS = """\

@@ -15,9 +15,9 @@ from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value as KoordValue
 from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.report.model import Counterexample, replayed, with_values
-from koordgen.verify.prove.report.reach import Bounds, Run, run_to
-from koordgen.verify.prove.report.reading import Reader, Unshowable, flat
-from koordgen.verify.prove.report.strengthen import closing, supposing, unassumed
+from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable, flat
+from koordgen.verify.prove.report.reach import CounterexampleRun, SearchBounds, run_to
+from koordgen.verify.prove.report.strengthen import strengthening, unassumed, with_position_assumptions
 from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverAnswer
 from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals, to_int, to_real
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import ObligationResult
 
 FLEETS = (1, 2, 3, 4)  # sizes of fleets in which a counterexample is searched: fewer robots are easier to read
-MOST = 1.0  # seconds of one query that proves nothing
-PATIENCE = 4.0  # seconds of the search for a counterexample that can be shown
-SECONDS = 1.0  # CPU seconds, with the solver's, of the search for a strengthening
+QUERY_SECONDS = 1.0  # seconds of one query that proves nothing
+SEARCH_SECONDS = 4.0  # seconds of the search for a counterexample that can be shown
+STRENGTHENING_SECONDS = 1.0  # CPU seconds, with the solver's, of the search for a strengthening
 
 
-class Explanation(NamedTuple):
+class FailureExplanation(NamedTuple):
     """Reason why an invariant is not proved.
 
     `run` leads from an initial state to a state in which the invariant is false. Without a run, the counterexample is
@@ -41,10 +41,10 @@ class Explanation(NamedTuple):
     about them and the conjuncts in `lacking`."""
 
     counterexample: Counterexample | None
-    run: Run | None
+    run: CounterexampleRun | None
     unshown: str
     lacking: tuple[str, ...]
-    usual: bool = False
+    with_defaults: bool = False
     unassumed: tuple[str, ...] = ()
     supposed: tuple[str, ...] = ()
 
@@ -65,14 +65,14 @@ class Explainer:
         self.dropped = dropped
         self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
 
-    def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
+    def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
         """Explain why obligations of the invariant `name` fail. `relied` has the invariants that they assumed."""
         try:
             return self._explained(name, group, relied)
         except EncodingTooLarge as error:
-            return Explanation(None, None, f"the search for a counterexample was stopped: {error}", ())
+            return FailureExplanation(None, None, f"the search for a counterexample was stopped: {error}", ())
 
-    def _explained(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> Explanation:
+    def _explained(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
         failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
         why, shown = "", None
         for obligation in sorted(failing, key=lambda o: o.kind != "base"):
@@ -83,30 +83,30 @@ class Explainer:
                 why = f"the solver's counterexample cannot be shown: {error}"
         invariant = next((p for p in self.program.properties if p.kind == "invariant" and p.name == name), None)
         if shown is None:
-            return Explanation(None, None, why, ())
+            return FailureExplanation(None, None, why, ())
         if invariant is None:
-            return Explanation(shown, None, "", (), self.usually(name, relied))
+            return FailureExplanation(shown, None, "", (), self.holds_with_defaults(name, relied))
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
-        run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
+        run = run_to(program, invariant_of(program, name), _values(shown), SearchBounds(), self.robots)
         sensors = unassumed(self.program, invariant) if any(o.kind == "environment" for o in failing) else []
         if sensors:
-            more, supposed = supposing(self.proved, sensors)
+            more, supposed = with_position_assumptions(self.proved, sensors)
             lacking = self.lacking(more, invariant) if supposed else None
             names = tuple([f"{module.name}.{port.name}" for module, port in sensors])
-            return Explanation(shown, run, "", lacking or (), False, names, () if lacking is None else supposed)
-        usual = self.usually(name, relied)
-        lacking = None if run is not None or usual else self.lacking(self.proved, invariant)
-        return Explanation(shown, run, "", lacking or (), usual)
+            return FailureExplanation(shown, run, "", lacking or (), False, names, () if lacking is None else supposed)
+        with_defaults = self.holds_with_defaults(name, relied)
+        lacking = None if run is not None or with_defaults else self.lacking(self.proved, invariant)
+        return FailureExplanation(shown, run, "", lacking or (), with_defaults)
 
-    def usually(self, name: str, relied: decl.Program) -> bool:
+    def holds_with_defaults(self, name: str, relied: decl.Program) -> bool:
         """Return whether the invariant is proved with the params' values in the program."""
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
         made = obligations(relied, self.robots, {**(self.params or {}), **free}, dropped=self.dropped)
         own = [o for o in made if o.invariant == name and o.kind != "consistency"]
-        return all(self.solver.ask(o, most=MOST).result == o.expected for o in own)
+        return all(self.solver.ask(o, most=QUERY_SECONDS).result == o.expected for o in own)
 
     def free(self, param: str) -> bool:
         return self.params is None or param not in self.params
@@ -115,14 +115,14 @@ class Explainer:
         """Return a counterexample in the smallest fleet. Raises Unshowable, with the first reason that was met."""
         program = exact(relied)
         reasons: list[str] = []
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + SEARCH_SECONDS
         for robots in (self.robots,) if self.robots is not None else FLEETS:
             for same in self.of(relied, robots, obligation):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
-                reader = Reader(same)
+                reader = ModelReader(same)
                 if time.monotonic() > until:
-                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {PATIENCE:g} s")
+                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {SEARCH_SECONDS:g} s")
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
@@ -134,16 +134,16 @@ class Explainer:
                         reasons.append("its run takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
-    def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[SolverAnswer]:
+    def models(self, obligation: Obligation, program: decl.Program, reader: ModelReader) -> Iterator[SolverAnswer]:
         """Yield models, the most readable ones first: with the params' values in the program and whole numbers, then
         with whole numbers, then any."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
-        usual = list(_usual(obligation, program))
-        for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
+        with_defaults = list(_usual(obligation, program))
+        for more in dict.fromkeys([(*with_defaults, *whole), tuple(whole), ()]):
             facts = tuple([LabelledFormula("readable values", term, "", 0) for term in more])
             asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
-            answer = self.solver.ask(asked, reader.wanted(), most=MOST)
+            answer = self.solver.ask(asked, reader.wanted(), most=QUERY_SECONDS)
             if answer.result == "sat":
                 yield answer
 
@@ -157,7 +157,7 @@ class Explainer:
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
         """Return conjuncts with which an invariant is proved, beside the proved ones; None if none were found."""
-        until = time.process_time() + SECONDS
+        until = time.process_time() + STRENGTHENING_SECONDS
         solving = 0.0
         base = replace(proved, properties=(*proved.properties, invariant))
 
@@ -169,7 +169,7 @@ class Explainer:
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()
-                    answer = self.solver.ask(obligation, most=MOST)
+                    answer = self.solver.ask(obligation, most=QUERY_SECONDS)
                     solving += answer.seconds
                     if answer.result != obligation.expected:
                         bad.add(obligation.invariant)
@@ -177,7 +177,7 @@ class Explainer:
 
         if proved is not self.proved and proves(base, frozenset({invariant.name})):
             return ()
-        return closing(base, invariant.name, proves) or None
+        return strengthening(base, invariant.name, proves) or None
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:

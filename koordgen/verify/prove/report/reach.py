@@ -28,13 +28,13 @@ from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, initial, round_, run_init, select, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.points import Point
-from koordgen.verify.prove.report.model import Conjunct, allowed, failing, made_state, true
-from koordgen.verify.prove.report.reading import Unshowable
+from koordgen.verify.prove.report.model import Conjunct, exact_state, failing_conjunct, is_allowed, is_true
+from koordgen.verify.prove.report.model_reader import Unshowable
 
 ENVIRONMENT = "(environment)"
 
 
-class Bounds(NamedTuple):
+class SearchBounds(NamedTuple):
     """Limits of the search: robots, rounds, states, values of one sensor, moves of the whole fleet, and CPU seconds
     (which take longer on a busy computer)."""
 
@@ -46,7 +46,7 @@ class Bounds(NamedTuple):
     seconds: float = 0.25
 
 
-class Moment(NamedTuple):
+class RunState(NamedTuple):
     """A state of a run, and the step that led to it: "" for the first state, "init", an event, "(environment)"."""
 
     state: State
@@ -55,17 +55,21 @@ class Moment(NamedTuple):
     round: int
 
 
-class Run(NamedTuple):
+class CounterexampleRun(NamedTuple):
     """Run from an initial state to one in which an invariant is false. `of_agents`: agents can execute each round."""
 
-    moments: tuple[Moment, ...]
+    run_states: tuple[RunState, ...]
     failed: Conjunct
     of_agents: bool
 
 
 def run_to(
-    program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
-) -> Run | None:
+    program: decl.Program,
+    invariant: decl.Property,
+    hints: Iterable[Value],
+    bounds: SearchBounds,
+    robots: int | None = None,
+) -> CounterexampleRun | None:
     """Return the first run found, one with the fewest rounds of its fleet; fleets of 1 to `bounds.robots` robots, or of
     `robots`. `program` is exact. `hints`: additional values of sensors. If agents cannot execute that run, a second
     search of the same time looks for a run that they can, with no more rounds."""
@@ -74,19 +78,19 @@ def run_to(
     found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
     if found is None or found.of_agents:
         return found
-    bounds = bounds._replace(rounds=found.moments[-1].round)
+    bounds = bounds._replace(rounds=found.run_states[-1].round)
     return _searched(program, invariant, known, bounds, fleets, as_agents=True) or found
 
 
 def _searched(
-    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, fleets: Iterable[int],
+    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds, fleets: Iterable[int],
     as_agents: bool,
-) -> Run | None:  # fmt: skip
+) -> CounterexampleRun | None:  # fmt: skip
     until = time.process_time() + bounds.seconds
     try:
         with ends(Deadline(time.process_time, until)):
             for n_sys in fleets:
-                found = _Search(program, invariant, hints, bounds, until, as_agents).of(n_sys)
+                found = _RunSearch(program, invariant, hints, bounds, until, as_agents).of(n_sys)
                 if found is not None:
                     return found
     except (NotExact, NoMeaning, OutOfTime):
@@ -94,30 +98,30 @@ def _searched(
     return None
 
 
-class _Search:
+class _RunSearch:
     """Breadth-first search of runs. `as_agents`: each robot runs only the event that agents choose."""
 
     def __init__(
-        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float,
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds, until: float,
         as_agents: bool,
     ) -> None:  # fmt: skip
         self.program = program
         self.invariant = invariant
         self.bounds = bounds
         self.until = until
-        self.world = World({}, no_way)
+        self.world = World({}, no_path)
         self.sensors = [
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
         self.pools = Pools(hints, literals(program.properties), bounds.values)
         self.as_agents = as_agents
 
-    def of(self, n_sys: int) -> Run | None:
-        layer: list[tuple[Moment, ...]] = []
+    def of(self, n_sys: int) -> CounterexampleRun | None:
+        layer: list[tuple[RunState, ...]] = []
         for start in self.starts(n_sys):
             ready, steps = run_init(self.program, start, self.world)
             if not any(isinstance(step.outcome, Discarded) for step in steps):  # a discarded init begins no mission
-                layer.append((Moment(start, "", None, 0), Moment(ready, "init", None, 0)))
+                layer.append((RunState(start, "", None, 0), RunState(ready, "init", None, 0)))
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
@@ -126,14 +130,14 @@ class _Search:
             layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins after such a step
         return found
 
-    def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
+    def broken(self, layer: list[tuple[RunState, ...]]) -> CounterexampleRun | None:
         for run in layer:
-            failed = failing(self.invariant, self.program, run[-1].state)
+            failed = failing_conjunct(self.invariant, self.program, run[-1].state)
             if failed is not None:
-                return Run(run, failed, self.of_agents(run))
+                return CounterexampleRun(run, failed, self.of_agents(run))
         return None
 
-    def of_agents(self, run: tuple[Moment, ...]) -> bool:
+    def of_agents(self, run: tuple[RunState, ...]) -> bool:
         """Return whether agents can execute a run. False if a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
@@ -142,7 +146,7 @@ class _Search:
 
     def starts(self, n_sys: int) -> Iterator[State]:
         """Yield at most `bounds.moves` initial states, with combinations of pool values for robots' sensors."""
-        first = made_state(initial(self.program, n_sys))
+        first = exact_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)
         pools = [
@@ -153,12 +157,12 @@ class _Search:
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
         for fleet in fleets:
-            state = made_state(initial(self.program, n_sys, fleet))
-            if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
+            state = exact_state(initial(self.program, n_sys, fleet))
+            if count < self.bounds.moves and all(is_true(rule, self.program, state) for rule in rules):
                 count += 1
                 yield state
 
-    def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
+    def rounds(self, layer: list[tuple[RunState, ...]], seen: list[State]) -> Iterator[tuple[RunState, ...]]:
         """Extend every run by a round: one event of one robot, or events as agents run them, then the environment."""
         for run in layer:
             state = run[-1].state
@@ -171,35 +175,37 @@ class _Search:
                     fresh = moved._replace(round=0)
                     if fresh not in seen:
                         seen.append(fresh)
-                        yield (*stepped, Moment(moved, ENVIRONMENT, None, run[-1].round + 1))
+                        yield (*stepped, RunState(moved, ENVIRONMENT, None, run[-1].round + 1))
 
-    def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
+    def stepped(self, run: tuple[RunState, ...], state: State) -> Iterator[tuple[RunState, ...]]:
         number = run[-1].round + 1
         for pid in range(len(state.robots)):
             for step in self.events(state, pid):
-                yield (*run, Moment(applied(self.program, state, step), str(step.event), pid, number))
+                yield (*run, RunState(applied(self.program, state, step), str(step.event), pid, number))
         if len(state.robots) > 1:
             steps: list[Step] = []
             with suppress(NotExact, NoMeaning):
                 steps = round_(self.program, state, world=self.world)[1]
-            moments = list(run)
+            run_states = list(run)
             for step in steps:
                 if step.event is not None and not isinstance(step.outcome, Discarded):
-                    moments.append(Moment(applied(self.program, moments[-1].state, step), step.event, step.pid, number))
-            if len(moments) > len(run):
-                yield tuple(moments)
+                    run_states.append(
+                        RunState(applied(self.program, run_states[-1].state, step), step.event, step.pid, number)
+                    )
+            if len(run_states) > len(run):
+                yield tuple(run_states)
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
         """Yield the steps of one robot. An event that cannot be run exactly is left out; the others remain."""
         if state.robots[pid].stopped:
             return
-        for event in self.tried(state, pid):
+        for event in self.candidate_events(state, pid):
             with suppress(NotExact, NoMeaning):
                 step = choice(self.program, event, state, pid, None, self.world)
                 if step is not None:
                     yield step
 
-    def tried(self, state: State, pid: int) -> tuple[decl.Event, ...]:
+    def candidate_events(self, state: State, pid: int) -> tuple[decl.Event, ...]:
         if not self.as_agents:
             return self.program.events
         with suppress(NotExact, NoMeaning):
@@ -216,7 +222,7 @@ class _Search:
             for moves in islice(product(*pools), 4 * self.bounds.moves):
                 new = {**robot.ports, **dict(moves)}
                 try:
-                    if allowed(self.program, robot.ports, new, pid, state):
+                    if is_allowed(self.program, robot.ports, new, pid, state):
                         found.append(dict(moves))
                 except Unshowable:
                     continue
@@ -229,8 +235,8 @@ class Pools:
     """Values that the search tries for sensors: for each type at most `count` of those that the program and the hints
     mention."""
 
-    def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
-        self.hints, self.spoken = tuple(hints), tuple(spoken)
+    def __init__(self, hints: Iterable[Value], mentioned: Iterable[Value], count: int) -> None:
+        self.hints, self.mentioned = tuple(hints), tuple(mentioned)
         self.count = count
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
@@ -242,7 +248,7 @@ class Pools:
         """Return the values of a type that the program and the hints mention."""
         if type_ == BOOL:
             return [True, False]
-        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.spoken) if _is(v, type_)]
+        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.mentioned) if _is(v, type_)]
         if type_ == POINT:
             known += [_apart(i) for i in range(len(state.robots))]
         if type_ == FLOAT:
@@ -278,6 +284,6 @@ def _distinct(values: Iterable[Any]) -> list[Any]:
     return found
 
 
-def no_way(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+def no_path(pid: int, port: str, args: tuple[Value, ...]) -> Value:
     """Answer a callable port with no path."""
     return ()

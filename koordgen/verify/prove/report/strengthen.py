@@ -15,26 +15,28 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import map_children, walk
 from koordgen.lang.ir.types import BOOL, INT, POINT, RECT, Type, list_of
 from koordgen.lang.node import replace
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.koord_text import to_koord
 
-MOST = 24  # most candidates that are tried
+MAX_CANDIDATES = 24  # most candidates that are tried
 MARK = "(candidate)"
 
 Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
 
 
-def closing(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
+def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
     """Return conjuncts in Koord with which the invariant is inductive; empty if none were found. `program` contains
     this invariant and those that may be assumed. `proves` returns those of the named invariants that are preserved
     when all invariants of a program are assumed."""
     for blocks in (True, False):
-        found = _closing(program, invariant, _candidates(program, invariant, blocks), proves)
+        found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:
             return found
     return ()
 
 
-def _closing(program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves) -> tuple[str, ...]:
+def _strengthening(
+    program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves
+) -> tuple[str, ...]:
     names = {c.name for c in candidates}
     while candidates:
         kept = proves(_with(program, candidates), frozenset({invariant, *names}))
@@ -49,7 +51,7 @@ def _closing(program: decl.Program, invariant: str, candidates: list[decl.Proper
         wanted = frozenset({invariant, *(c.name for c in fewer)})
         if wanted <= proves(_with(program, fewer), wanted):
             candidates = fewer
-    return tuple([spelled(c.formula) for c in candidates])
+    return tuple([to_koord(c.formula) for c in candidates])
 
 
 def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
@@ -60,21 +62,21 @@ def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[dec
     """Return candidates. `blocks`: all conjuncts about one variable together form one candidate about another."""
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
     known.sort(key=lambda p: p.name != invariant)  # its own predicates first
-    present = {spelled(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
+    present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:
         parts = list(conjuncts(property_.formula))
         for conjunct in _blocks(parts) if blocks else parts:
             for formula in (conjunct, *_variants(conjunct, program)):
-                text = spelled(formula)
+                text = to_koord(formula)
                 if text not in present:
                     found.setdefault(text, formula)
     for formula in _bounds(program):
-        text = spelled(formula)
+        text = to_koord(formula)
         if text not in present:
             found.setdefault(text, formula)
     span = next(p.span for p in known if p.name == invariant)
-    chosen = list(found.values())[:MOST]
+    chosen = list(found.values())[:MAX_CANDIDATES]
     return [decl.Property("invariant", f"{MARK} {i}", formula, span) for i, formula in enumerate(chosen)]
 
 
@@ -213,7 +215,7 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
     return found
 
 
-def supposing(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
+def with_position_assumptions(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
     """Add an assumption about each position to which an actuator sends the robot. Return the program with these
     assumptions, and their texts."""
     modules, texts = {m.name: m for m in program.modules}, []
@@ -228,5 +230,5 @@ def supposing(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Pr
         kept = modules[module.name]
         assumed = (*kept.assumptions, decl.Assumption(formula, span))
         modules[module.name] = replace(kept, assumptions=assumed)
-        texts.append(f"using {module.name}: assume {spelled(formula).replace(f'{module.name}.', '')}")
+        texts.append(f"using {module.name}: assume {to_koord(formula).replace(f'{module.name}.', '')}")
     return replace(program, modules=tuple(modules.values())), tuple(texts)

@@ -11,9 +11,9 @@ from koordgen.lang.semantics.exact import Root
 from koordgen.lang.semantics.state import Robot, State
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
+from koordgen.verify.prove.report.koord_text import number, to_koord
 from koordgen.verify.prove.report.model import Conjunct, Counterexample
-from koordgen.verify.prove.report.reach import Moment, Run
-from koordgen.verify.prove.report.spell import number, spelled
+from koordgen.verify.prove.report.reach import CounterexampleRun, RunState
 
 WIDTH = 100
 CHANGED = "*"
@@ -49,7 +49,7 @@ def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str
     if failed is None:
         return wrapped(f"it has no result, {discarded}", "    ")
     bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
-    return wrapped(f"false then: {spelled(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
+    return wrapped(f"false then: {to_koord(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
 
 
 def table(found: Counterexample) -> Iterator[str]:
@@ -108,13 +108,13 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
             yield "  " + "  ".join(line).rstrip()
 
 
-def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
-    yield from moment_lines(run.moments)
+def run_lines(run: CounterexampleRun, found: Counterexample | None) -> Iterator[str]:
+    yield from run_state_lines(run.run_states)
     yield from failed_lines(run.failed, "", found.file if found else "")
-    yield from wrapped(order_told(run.of_agents))
+    yield from wrapped(agent_order_text(run.of_agents))
 
 
-def order_told(of_agents: bool) -> str:
+def agent_order_text(of_agents: bool) -> str:
     """Return a sentence that says whether agents can execute a run."""
     if of_agents:
         return "the agents' order can do this run"
@@ -124,18 +124,18 @@ def order_told(of_agents: bool) -> str:
     )
 
 
-def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
+def run_state_lines(run_states: Sequence[RunState]) -> Iterator[str]:
     """Yield a run step by step, with the changes of each."""
-    first = moments[0].state
+    first = run_states[0].state
     constants = {"N_SYS": len(first.robots), **first.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("round", "step", "", "")]
-    for old, moment in zip((None, *moments), moments, strict=False):
-        by = moment.event or "the beginning"
-        step = f"{by} of robot {moment.pid}" if moment.pid is not None else by
-        changes = list(_changes(old.state if old else None, moment.state))
+    for old, run_state in zip((None, *run_states), run_states, strict=False):
+        by = run_state.event or "the beginning"
+        step = f"{by} of robot {run_state.pid}" if run_state.pid is not None else by
+        changes = list(_changes(old.state if old else None, run_state.state))
         for i, change in enumerate(changes or ["nothing changes"]):
-            rows.append((str(moment.round) if not i else "", step if not i else "", change, ""))
+            rows.append((str(run_state.round) if not i else "", step if not i else "", change, ""))
     yield from _columns(rows)
 
 
@@ -150,7 +150,7 @@ def _changes(old: State | None, new: State) -> Iterator[str]:
             yield f"{name} = {shown(value)}"
 
 
-def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
+def data(found: Counterexample, run: CounterexampleRun | None) -> dict[str, Any]:
     """Return a counterexample for JSON."""
     rows = [
         {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
@@ -164,20 +164,20 @@ def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
         "line": found.line,
         "robots": len(found.before.robots),
         "params": _texts(found.before.params),
-        "conjunct": spelled(found.failed.formula) if found.failed else found.discarded,
+        "conjunct": to_koord(found.failed.formula) if found.failed else found.discarded,
         "names": _texts(found.failed.names) if found.failed else {},
         "cells": rows,
-        "run": moments_data(run.moments) if run else None,
+        "run": run_states_data(run.run_states) if run else None,
         "order_of_agents": run.of_agents if run else None,
     }
 
 
-def moments_data(moments: Sequence[Moment]) -> list[dict[str, Any]]:
+def run_states_data(run_states: Sequence[RunState]) -> list[dict[str, Any]]:
     """Return a run for JSON."""
-    return [_moment(m.event, m.pid, m.round, m.state) for m in moments]
+    return [_run_state(m.event, m.pid, m.round, m.state) for m in run_states]
 
 
-def _moment(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
+def _run_state(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
     robots = [_texts(own(state, i)) for i in range(len(state.robots))]
     return {"round": number, "event": event, "robot": pid, "robots": robots, "shared": _texts(state.store.cells)}
 

@@ -14,15 +14,15 @@ from koordgen.lang.ir.expr import Expr
 from koordgen.lang.node import replace
 from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligation_groups, obligations
 from koordgen.verify.prove.obligations.part_encoder import Detail
-from koordgen.verify.prove.report.ledger import Entry, Ledger
+from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
 from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
 if TYPE_CHECKING:  # Explainer runs programs: a proof needs none of that, and its import takes long
-    from koordgen.verify.prove.report.explain import Explanation
+    from koordgen.verify.prove.report.explain import FailureExplanation
 
-Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
+VerdictName = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
 WELL_DEFINED = "(well-defined)"
 MORE: tuple[Detail, ...] = ("usual", "most")
 
@@ -35,7 +35,7 @@ class Question(NamedTuple):
     params: Mapping[str, Expr] | None = None
 
 
-class Asked(NamedTuple):
+class SolvedObligations(NamedTuple):
     """Answers to all obligations, after no formula that is assumed at a loop's head fails any more. `dropped`: such
     formulas that failed. `lost`: the failed obligations of invariants that the program states at loops."""
 
@@ -44,24 +44,26 @@ class Asked(NamedTuple):
     lost: dict[str, tuple[ObligationResult, ...]]
 
 
-class Verdict(NamedTuple):
+class InvariantVerdict(NamedTuple):
     """Verdict of one invariant. `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
 
     invariant: str
-    verdict: Name
+    verdict: VerdictName
     robots: int | None
     outcomes: tuple[ObligationResult, ...]
     reason: str
-    explanation: Explanation | None
+    explanation: FailureExplanation | None
     rests_on: tuple[str, ...]
-    assumptions: tuple[Entry, ...]
+    assumptions: tuple[LedgerEntry, ...]
 
 
-def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
+def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerdict]:
     """Return a verdict for each invariant, in the program's order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
-    asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
+    asked = _as_for_any(question, program, solver) or _settled(
+        question, program, solver, SolvedObligations([], frozenset(), {})
+    )
     names = _names(program, asked)
     groups = _groups(asked.outcomes)
     failed: dict[str, tuple[tuple[ObligationResult, ...], decl.Program]] = {}
@@ -84,7 +86,7 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[Verdict]:
         verdict, reason = _verdict(question.program, group, explanation, contradiction, doubt)
         assumed = ledger.of([o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
-        found.append(Verdict(name, verdict, question.robots, group, reason, explanation, rests, assumed))
+        found.append(InvariantVerdict(name, verdict, question.robots, group, reason, explanation, rests, assumed))
     return found
 
 
@@ -94,7 +96,7 @@ def _explained(
     solver: Solver | CrossCheck,
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
-) -> dict[str, Explanation]:
+) -> dict[str, FailureExplanation]:
     """Return explanations of the failed invariants by name. `proved` is the program with only the PROVED invariants."""
     if not failed:
         return {}
@@ -105,15 +107,19 @@ def _explained(
 
 
 def _settled(
-    question: Question, program: decl.Program, solver: Solver | CrossCheck, before: Asked, more: Sequence[Detail] = MORE
-) -> Asked:
+    question: Question,
+    program: decl.Program,
+    solver: Solver | CrossCheck,
+    before: SolvedObligations,
+    more: Sequence[Detail] = MORE,
+) -> SolvedObligations:
     """Ask all obligations; drop formulas that fail at heads of loops, and ask again, until none fails there."""
     dropped, lost = before.dropped, dict(before.lost)
     while True:
         outcomes = _asked(question, program, solver, dropped, more)
         failing = [o for o in outcomes if o.obligation.at is not None and not o.holds]
         if not failing:
-            return Asked(outcomes, dropped, lost)
+            return SolvedObligations(outcomes, dropped, lost)
         dropped |= {o.obligation.at for o in failing if o.obligation.at is not None}
         stated = {o.obligation.invariant for o in failing} - {p.name for p in program.properties}
         groups = _groups(outcomes)
@@ -142,13 +148,15 @@ def _asked(
     return found
 
 
-def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> Asked | None:
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> SolvedObligations | None:
     """Prove for any number of robots what is asked for one number. What holds for every number holds for this one, and
     is decided faster. Consistency of the assumptions must still be shown for this number. None if something does not
     hold for every number."""
     if question.robots is None:
         return None
-    general = _settled(question._replace(robots=None), program, solver, Asked([], frozenset(), {}), MORE[:1])
+    general = _settled(
+        question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1]
+    )
     # SOUND: all results or none. What holds after a cut loop rests on its invariants, which have no obligations if the
     # loop is unrolled.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
@@ -179,7 +187,7 @@ def _groups(outcomes: Sequence[ObligationResult]) -> dict[str, tuple[ObligationR
     return {name: tuple(group) for name, group in found.items()}
 
 
-def _names(program: decl.Program, asked: Asked) -> list[str]:
+def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
     found = dict.fromkeys(o.obligation.invariant for o in asked.outcomes if o.obligation.kind != "consistency")
     found.update(dict.fromkeys(asked.lost))
     found.update(dict.fromkeys(p.name for p in program.properties if p.kind == "invariant"))
@@ -214,8 +222,12 @@ def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | Cros
 
 
 def _verdict(
-    program: decl.Program, group: tuple[ObligationResult, ...], explanation: Explanation | None, contradiction: str, doubt: str
-) -> tuple[Name, str]:
+    program: decl.Program,
+    group: tuple[ObligationResult, ...],
+    explanation: FailureExplanation | None,
+    contradiction: str,
+    doubt: str,
+) -> tuple[VerdictName, str]:
     if contradiction:
         return "VACUOUS", contradiction
     if explanation is not None and explanation.run is not None:
@@ -225,9 +237,11 @@ def _verdict(
     failing = [o for o in group if not o.holds]
     if failing:
         first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
-        from koordgen.verify.prove.report import doubt as doubts
+        from koordgen.verify.prove.report.unknown import unknown_reason
 
-        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, explanation.unshown if explanation else "")
+        return "UNKNOWN", unknown_reason(
+            program, first.obligation, first.answer, explanation.unshown if explanation else ""
+        )
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 

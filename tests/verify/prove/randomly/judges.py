@@ -148,7 +148,7 @@ def _within(seconds: float) -> Iterator[None]:
 @contextmanager
 def _brief(effort: Effort) -> Iterator[None]:
     """Failed proofs are explained in less time than people would give them."""
-    bounds = reach.Bounds(seconds=effort.explaining)
+    bounds = reach.SearchBounds(seconds=effort.explaining)
     with ExitStack() as stack:
         stack.enter_context(patch.object(explain, "Bounds", lambda: bounds))
         stack.enter_context(patch.object(explain, "SECONDS", effort.explaining))
@@ -261,9 +261,11 @@ def explored(program: decl.Program, proved: frozenset[str], seed: int, effort: E
         )  # fmt: skip
         violation = search.run().violation
         if violation is not None:
-            moments = [f"round {m.round} {m.event or 'the beginning'} {m.pid}: {m.state}" for m in violation.moments]
+            run_states = [
+                f"round {m.round} {m.event or 'the beginning'} {m.pid}: {m.state}" for m in violation.run_states
+            ]
             told = violation.reason or f"false: {violation.failed}"
-            return Contradiction(violation.name, "exploration", n_sys, "\n".join([told, *moments]))
+            return Contradiction(violation.name, "exploration", n_sys, "\n".join([told, *run_states]))
     return None
 
 
@@ -282,11 +284,11 @@ class _Runs:
         self.claimed = [p for p in program.properties if p.kind == "invariant" and p.name in proved]
         self.around = surroundings(program)
         self.answer = answering(self.around, program, n_sys)
-        self.moments: list[str] = []
+        self.run_states: list[str] = []
 
     def run(self, length: int) -> None:
         """One run of so many rounds, or fewer where the environment cannot go on. Raises _Broken, Lacking."""
-        self.moments = []
+        self.run_states = []
         state = self.begun()
         if state is None:
             return
@@ -350,7 +352,7 @@ class _Runs:
 
     def result(self, outcome: object, pid: int, event: str) -> None:
         if isinstance(outcome, Discarded) and WELL_DEFINED in self.proved and not _limit(outcome.reason):
-            self.moments.append(f"{event} of {pid} has no result: {outcome}")
+            self.run_states.append(f"{event} of {pid} has no result: {outcome}")
             raise _Broken(WELL_DEFINED)
 
     def kept(self, outcome: object) -> None:
@@ -360,7 +362,7 @@ class _Runs:
                 raise _Broken(f"line {span.line}")
 
     def look(self, state: State, moment: str) -> None:
-        self.moments.append(f"{moment}: {state}")
+        self.run_states.append(f"{moment}: {state}")
 
     def world(self, state: State) -> World:
         """One event's answers: equal questions get equal ones."""
@@ -438,7 +440,7 @@ def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort
             try:
                 runs.run(effort.length)
             except _Broken as broken:
-                return Contradiction(str(broken), "run", n_sys, "\n".join(runs.moments))
+                return Contradiction(str(broken), "run", n_sys, "\n".join(runs.run_states))
     return None
 
 

@@ -47,7 +47,7 @@ class Unshowable(Exception):
     """The counterexample cannot be run; the message gives the reason."""
 
 
-class Reader:
+class ModelReader:
     """Reader of models of one obligation: the terms to evaluate, and the program's values for the results."""
 
     def __init__(self, obligation: Obligation) -> None:
@@ -222,10 +222,10 @@ def flat(value: Any) -> tuple[Term, ...]:
 # Answers of a model to calls by the program. A result that the model does not determine makes the step unshowable.
 
 
-class Served:
+class ModelAnswers:
     """Answers of a model to the calls of one event, in their order, with a record of the calls."""
 
-    def __init__(self, program: decl.Program, reader: Reader) -> None:
+    def __init__(self, program: decl.Program, reader: ModelReader) -> None:
         self.program = program
         self.reader = reader
         self.asked: list[Asked] = []

@@ -8,28 +8,28 @@ from collections.abc import Iterator
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.ledger import LEMMAS
-from koordgen.verify.prove.report.spell import spelled
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import SolverAnswer
 from koordgen.verify.prove.smt.term import NONLINEAR
 
-MOST = 3  # most products, or notes, that a message names
+MAX_NAMED = 3  # most products, or notes, that a message names
 
 
-def doubt(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
+def unknown_reason(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
     """Return sentences that name the obligation, the cause and a next step. `unshown`: the reason why the
     counterexample that the solver claims cannot be shown."""
     where = f"{obligation.name} ({obligation.file}:{obligation.line})"
     if answer.result == "unknown":
-        hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
+        hard = list(dict.fromkeys(_products(program, obligation)))[:MAX_NAMED]
         if not hard:
             return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknowns: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
         return f"{where}: {answer.reason}. It is hard because of {terms}{helps}"
-    less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
+    less = [note for note in obligation.notes if note not in LEMMAS][:MAX_NAMED]
     known = f". The prover approximates: {'; '.join(less)}" if less else ""
     loops = any("of what the loop writes" in note for note in obligation.notes)
     say = "an invariant of the loop, an invariant" if loops else "an invariant"
@@ -61,7 +61,7 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):
                     if node not in within:
-                        yield f"`{spelled(node)}` (line {node.span.line})"
+                        yield f"`{to_koord(node)}` (line {node.span.line})"
                     within.update(n for n in walk(node) if isinstance(n, ir.Binary))
     if any(fact.label == "distance of two points" and not fact.line for fact in facts):
         yield "distances by the squares of coordinates"
