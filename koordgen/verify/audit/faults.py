@@ -11,6 +11,7 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
 from koordgen.verify.audit.finding import AFTER, Finding, Moment, Outcome, Violation
 from koordgen.verify.audit.story import Mission, Story
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
 _CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/program/extern.py words it

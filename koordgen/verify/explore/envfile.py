@@ -1,4 +1,4 @@
-"""Reads the file of an environment; every mistake is told at its place."""
+"""Parser of environment files. Each mistake is reported with its place."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from koordgen.runtime.values.points import Point
 from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
 from koordgen.verify.explore.lidar import lidar
 
-MOST = 100_000  # values of one port
-ROUNDING = 1e-9  # of a step: what rounding adds to a distance of so many steps
+MOST = 100_000  # most values of one port
+ROUNDING = 1e-9  # tolerance as a part of a step: more than rounding adds to a distance of some steps
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 
 
 def environment(program: decl.Program, n_sys: int, source: Source | None, report: Report) -> Environment | None:
-    """What the file says, and both values of each bool sensor that it does not name. None after a mistake was reported;
-    raises Lacking."""
+    """Return the environment of a file. A bool sensor that the file does not name has both values. None after a mistake
+    was reported. Raises MissingEnvironment."""
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
     called = [name for name, p in ports.items() if p.direction == "callable"]
@@ -58,7 +58,7 @@ def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type
         raise Lacking(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
     for name, answers in found.answers.items():
         if STRAIGHT in answers and not position_beside(program, name):
-            raise Lacking(f"{name}: a straight way begins at a position, and the program has no such sensor beside it")
+            raise Lacking(f"{name}: a straight path begins at a position, but the program has no such sensor beside it")
 
 
 class _File:
@@ -66,7 +66,7 @@ class _File:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
     def read(self, usual: Environment, n_sys: int) -> Environment:
-        """The whole file; `usual` is what holds where it says nothing."""
+        """Return the whole environment. `usual` has the values of what the file does not name."""
         table = self.reader.table(
             self.reader.document(), "the environment", [], [*self.sensors, *self.called, "params", "robots"]
         )
@@ -86,7 +86,7 @@ class _File:
         return found
 
     def _robots(self, node: YamlNode | None, usual: Environment, n_sys: int) -> dict[int, Environment]:
-        """Those of the fleet; one file may serve fleets of several sizes."""
+        """Return the environments of robots in this fleet. One file may serve fleets of several sizes."""
         found = {}
         keys = [key for key, _ in node.value] if node is not None and node.tag == "tag:yaml.org,2002:map" else []
         pids = [str(key.value) for key in keys if str(key.value).isdecimal()]
@@ -180,7 +180,7 @@ class _File:
         return given, Domain(tuple(values), None if change is None else _change(change + ROUNDING * step))
 
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
-        """Per axis the numbers from its low to its high end; empty where there are too many, or none."""
+        """Return for each axis its numbers from low to high; empty if there are none, or too many."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
         if min(counts) < 1 or math.prod(counts) > MOST:
@@ -218,7 +218,7 @@ class _File:
         return tuple(self._each_value(items, name, type_))
 
     def _each_value(self, items: list[YamlNode], name: str, type_: Type) -> Iterator[Value]:
-        """Values are written as those of params are."""
+        """Yield values, which are written like those of params."""
         at = Span(1, 1, 1, 1)
         param = decl.Param(name, type_, Const(0, type_, at), at)
         alone = replace(self.program, params=(param,), shared=(), locals=(), modules=())
@@ -240,7 +240,7 @@ def _form(type_: Type) -> str:
 
 
 def _stepped(lo: float, step: float, k: int) -> float:
-    """The number that is written so: three steps of 0.1 from 18 on are 18.3."""
+    """Return `lo` plus k steps, rounded in decimal: three steps of 0.1 from 18 on are 18.3."""
     return type(lo)(Decimal(repr(lo)) + k * Decimal(repr(step)))
 
 

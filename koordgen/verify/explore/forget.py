@@ -1,18 +1,18 @@
-"""What makes no difference to what can happen, and is forgotten: which robot's own may stand for which other.
+"""State-space reduction: differences between robots' private states that cannot affect any later step are removed.
 
-1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event left;
-   its values may differ, all else goes on alike. Whether events read it is not told from their text: it is taken for
-   unread until one does (`Unread`, raised while the event runs); then it is kept, and the search begins anew. Events
-   that read and write nothing but that variable (a counter that runs down) and stand in no `priority:` block, where
-   their guards would be read by others, are left out of rounds. All values that it can have are tried on them apart,
-   for faults and to see whether they are ever enabled: what is written to it elsewhere depends on no forgotten value,
-   so each such value is met in some robot that the search makes.
-2. A robot that has nothing left but to stop. By its locals and its own slots alone, which nobody else writes, each
-   of its events has a false guard or does nothing but `stop`, and so for ever. It may stand for one that has stopped:
-   what either does, the other matches by skipping. Of both all locals are forgotten that no invariant names.
+1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
+   Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
+   a variable counts as unread until an event reads it (`Unread`, raised while the event runs). It is then kept, and the
+   search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand in no
+   `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on all
+   values that the variable can have, to find faults and to see whether they are ever enabled. What other events write
+   to the variable depends on no removed value, so each such value occurs in some robot that the search meets.
+2. A robot that can do nothing but stop. Judged by its locals and its own slots alone, which nobody else writes, each of
+   its events has a false guard or does nothing but `stop`, now and for ever. A robot that has stopped represents it:
+   each step of either is matched by a skip of the other. For both, all locals that no invariant names are removed.
 
-Both keep the number of rounds to whatever is found. They do not keep deadlocks: who is forgotten may still have an
-event. So where a deadlock is found the search begins anew without forgetting.
+Both reductions preserve the number of rounds to any violation. They do not preserve deadlocks, since a represented
+robot may still have an event. So if a deadlock is found, the search restarts without the reductions.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
 from koordgen.verify.explore.machine import Interned, Machine, Own, Packed
 
-MOST = 10_000  # values of one variable that are tried
+MOST = 10_000  # most values of one variable that are tried
 
 
 class Unread(BaseException):
-    """A variable that was taken for unread is read. No Exception: generated code's own are faults of the program."""
+    """A variable that counted as unread is read. A BaseException, since Exceptions in generated code are faults."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -38,7 +38,7 @@ class Unread(BaseException):
 
 
 class _Others(BaseException):
-    """What is not a robot's own is read."""
+    """An event reads more than its robot's locals, actuators and own slots."""
 
 
 class _Hidden(rt.Cell[Any]):
@@ -68,7 +68,7 @@ class _OwnSlots(rt.Slots[Any]):
 
 @cache
 def watched(name: str) -> type[rt.Cell[Any]]:
-    """A cell that may be written, but not read before."""
+    """Return a class of cells that raise Unread if they are read before they are written."""
 
     class Watched(rt.Cell[Any]):
         __slots__ = ()
@@ -83,8 +83,8 @@ def watched(name: str) -> type[rt.Cell[Any]]:
 
 
 def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
-    """Return the class of transactions that are as those of `begin`, but show nothing except the robot's locals,
-    actuators and own slots. `sensors` are the attributes that are not there."""
+    """Return a subclass of the transactions `begin` that show nothing except the robot's locals, actuators and own
+    slots. `sensors` are the attributes that are removed."""
 
     class Alone(begin):  # type: ignore[misc,valid-type]
         def __init__(self, frame: rt.Frame) -> None:
@@ -105,7 +105,7 @@ def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Tran
 
 
 class Forgetting:
-    """What is forgotten of one machine's fleets: `locals`, and the events `idle` that only turn on those."""
+    """Reduction of one machine's fleets: the removed `locals`, and the `idle` events that use nothing else."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -118,7 +118,7 @@ class Forgetting:
         self._take([name for name in unread if name not in guards or name in alone])
 
     def keep(self, name: str) -> None:
-        """A variable is read after all."""
+        """Keep a variable, because an event reads it."""
         self._take([other for other in self.locals if other != name])
 
     def _take(self, names: list[str]) -> None:
@@ -134,12 +134,12 @@ class Forgetting:
         self._alone = alone(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
-        """The fleet that stands for this one."""
+        """Return the fleet that represents this one."""
         n_sys, seen = self.machine.n_sys, fleet[self.machine.n_sys :]
         return (*[self.own(pid, fleet[pid], seen) for pid in range(n_sys)], *seen)
 
     def own(self, pid: int, own: int, seen: Packed) -> int:
-        """The one that stands for a robot's own; of the store only its own slots count."""
+        """Return the private state that represents this one. Of the store only the robot's own slots count."""
         key = (pid, own, seen[pid])
         found = self._standing.get(key)
         if found is None:
@@ -158,13 +158,13 @@ class Forgetting:
         return self._alike.values[self._alike.number(key, own)]
 
     def _turn(self, pid: int, robot: Own, seen: Packed) -> None:
-        """Tries the idle events on all values that their variables come to from here."""
+        """Run the idle events on all values that their variables can take from here."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
             return
         for name in set(self._turning.values()):
             pending = [robot.locals[name]]
-            for value in pending:  # grows meanwhile
+            for value in pending:  # grows within the loop
                 key = (name, machine.key(name, value))
                 if key in self._tried:
                     continue
@@ -177,7 +177,7 @@ class Forgetting:
                     try:
                         ready = rt.enabled(event, code.begin(frame))
                         done = rt.run(code, event.effect, code.begin(frame)) if ready else None
-                    except Exception:  # of the guard: as the search tells it
+                    except Exception:  # a fault of the guard: the search reports it
                         raise Unread(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
                         raise Unread(name)
@@ -186,7 +186,7 @@ class Forgetting:
                         pending.append(done.locals[name])
 
     def _finished(self, pid: int, robot: Own, seen: Packed) -> bool:
-        """Whether a robot will do nothing but stop, whatever comes."""
+        """Return whether a robot will do nothing but stop, whatever others do."""
         machine, code = self.machine, self.machine.code
         frame = machine.frame(pid, robot, seen)
         stopping = []
@@ -197,7 +197,7 @@ class Forgetting:
                 if not rt.enabled(event, self._alone(frame)):
                     continue
                 if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
-                    continue  # now and so for ever: the one that has priority does nothing but stop
+                    continue  # now and for ever: the event that has priority does nothing but stop
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, Unread, _Others):
                 return False
@@ -211,7 +211,7 @@ class Forgetting:
 
 
 def _turns_on(event: decl.Event) -> str | None:
-    """The one variable that an event reads and writes, where that is all that it does, and it stands in no block."""
+    """Return the only variable that an event reads and writes, if it does nothing else and stands in no block."""
     names, parts = set(), (event.guard, event.effect)
     for node in walk(parts):
         match node:

@@ -1,11 +1,11 @@
-"""Every end of a round's program step, from a packed fleet: what each robot may do, in every order that matters.
+"""Ends of a round's program step from a packed fleet: all robots' choices, in every order that matters.
 
-A plain event reads the store of the round's start, so it does the same wherever in the round it comes. Two events of
-two robots commute unless both write one allwrite variable, or one of them is atomic and reads what the other writes
-(a slot has one writer). Guards that have priority over an event are read at the round's start, so they conflict with
-nothing. Events that commute with all others form the first phase, in which robots step by ascending
-pid; the others form one phase for each group that is linked by such conflicts, in which every order is tried. Any
-order of a round can be sorted into this one by exchanging neighbours that commute, so nothing is lost.
+Partial-order reduction: a plain event reads the store of the round's start, so its position in the round does not
+matter. Two events of two robots commute unless both write one allwrite variable, or one of them is atomic and reads
+what the other writes (a slot has one writer). Guards that have priority over an event are read at the round's start, so
+they conflict with nothing. Events that commute with all others form the first phase, in which robots step by ascending
+pid. The others form one phase for each group that is connected by conflicts, in which every order is tried. Any order
+of a round can be sorted into this order by exchanging neighbours that commute, so no end is lost.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.explore.machine import Choice, Machine, Packed
 
-Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
-Came = tuple[Node, int, int]  # from where, by which robot, by which event
+Node = tuple[int, Packed]  # bit mask of the robots that have stepped, and the fleet after their steps
+Came = tuple[Node, int, int]  # predecessor, pid and event of the step from it
 
 
 class Phase(NamedTuple):
-    """Events by index: those that read nothing shared but their robot's own slots, other plain ones, other atomic ones;
-    whether the order of robots makes a difference. `ranked`: some event has another one before it in its `priority:`
-    block."""
+    """Events of one phase by index: `alone` read nothing shared but their robot's own slots; other plain ones; other
+    atomic ones. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
+    `priority:` block."""
 
     alone: tuple[int, ...]
     plain: tuple[int, ...]
@@ -34,8 +34,8 @@ class Phase(NamedTuple):
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
-    """All events but `idle` ones, by groups that commute with one another. Without `independence` one group in every
-    order."""
+    """Return all events but `idle` ones, in phases that commute with one another. Without `independence`, all events
+    are in one phase that is explored in every order."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
@@ -80,7 +80,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
-    """The shared variables that an event reads as they are when it runs, and those that it may write."""
+    """Return the shared variables that an event reads at the time of its run, and those that it may write."""
     reads, writes = set(), set()
     for node in walk((event.guard, event.effect)):
         match node:
@@ -94,10 +94,10 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 
 
 class Rounds:
-    """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
-    once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
-    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: only rounds that
-    agents can do (`is_order_of_agents` of the semantics)."""
+    """Rounds of one machine. A robot's choices are computed once for each private state and store; if robots are
+    `alike`, once for all orders of the others' slots. `stands` returns the representative of a robot's private state
+    after its step, given its pid and the store; nobody reads that state before the round's end. `as_agents`: only
+    rounds that agents can execute (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
@@ -110,8 +110,8 @@ class Rounds:
         self._alone: dict[Packed, tuple[Choice, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
-        """Every fleet that the program's step may leave, skipping included, with who has stepped; the first is that of
-        which nobody has. Every fleet within a round is among them: those who have not stepped yet may skip."""
+        """Return every fleet that the program's step may end in, skips included, with the robots that have stepped. The
+        first is that in which no robot has. Every fleet within a round is among them, since the others may skip."""
         if self.as_agents:
             return self.ways(fleet)
         found: list[Node] = [(0, fleet)]
@@ -124,7 +124,7 @@ class Rounds:
                 for pid in range(n_sys):
                     found += self._of_one(found, number, pid, begun)
             else:
-                for pid in range(n_sys):  # who has not stepped is as at the round's start
+                for pid in range(n_sys):  # a robot that has not stepped is as at the round's start
                     if choices := self._choices(number, pid, fleet, begun):
                         found += self._all_of_one(found, pid, choices)
         return found
@@ -154,7 +154,7 @@ class Rounds:
         seen = dict.fromkeys(found)
         pending = list(seen)
         robots = range(self.machine.n_sys)
-        for mask, at in pending:  # grows meanwhile
+        for mask, at in pending:  # grows within the loop
             for pid in robots:
                 if not mask >> pid & 1:
                     for choice in self._choices(number, pid, at, begun):
@@ -165,7 +165,7 @@ class Rounds:
         return pending
 
     def ways(self, fleet: Packed) -> dict[Node, Came | None]:
-        """The same, each with how it came about."""
+        """Return the ends of the round, each with the step that led to it."""
         if self.as_agents:
             return self._ways_of_agents(fleet)
         found: dict[Node, Came | None] = {(0, fleet): None}
@@ -173,7 +173,7 @@ class Rounds:
         for number, phase in enumerate(self.phases):
             if phase.ordered:
                 pending = list(found)
-                for node in pending:  # grows meanwhile
+                for node in pending:  # grows within the loop
                     for pid in range(self.machine.n_sys):
                         pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
             else:
@@ -183,8 +183,8 @@ class Rounds:
         return found
 
     def _ways_of_agents(self, fleet: Packed) -> dict[Node, Came | None]:
-        """Commits, one at most for each lock, then plain events by ascending pid; all on the round's start, since no
-        commit writes what one under another lock reads."""
+        """Return the ends of rounds in the agents' order: commits, at most one for each lock, then plain events by
+        ascending pid. All read the round's start, since no commit writes what one under another lock reads."""
         machine, events = self.machine, self.machine.program.events
         found: dict[Node, Came | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]
@@ -202,7 +202,7 @@ class Rounds:
         return found
 
     def _stepped(self, found: dict[Node, Came | None], pid: int, node: Node, choices: tuple[Choice, ...]) -> list[Node]:
-        """What one robot's step adds, if it has taken none."""
+        """Apply one robot's choices to a node, unless the robot has stepped. Return the new nodes."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
@@ -266,7 +266,7 @@ class Rounds:
         found = self.machine.choices(events, pid, own, seen)
         if self.stands is not None:
             found = tuple([c._replace(own=self.stands(pid, c.own, _with(seen, pid, c.slots))) for c in found])
-        if len(self.machine.discards) == discards:  # what is discarded is told anew each time
+        if len(self.machine.discards) == discards:  # discarded events must be reported each time
             known[key] = found
         return found
 
@@ -280,7 +280,7 @@ def _with(seen: Packed, pid: int, slots: int) -> Packed:
 
 
 def steps(found: dict[Node, Came | None], node: Node) -> list[tuple[int, int, Packed]]:
-    """How a round came to a node: robot, event and the fleet after it, in their order."""
+    """Return the steps of a round to a node, in their order: robot, event and the fleet afterwards."""
     taken: list[tuple[int, int, Packed]] = []
     while (came := found[node]) is not None:
         before, pid, event = came

@@ -1,4 +1,4 @@
-"""Breadth first over all that a fleet can come to, round by round: a violation found is one of fewest rounds."""
+"""Breadth-first search of the state space, round by round. A violation that is found has the fewest rounds."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
 from koordgen.verify.prove.report.reach import RunState
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # prefix of a loop invariant's name; its line follows
-SHOWN = 0.25  # seconds from one view of the progress to the next
+LOOP = "line "  # prefix of the name of a loop invariant; its line follows
+SHOWN = 0.25  # seconds between two reports of the progress
 
 
 class Bounds(NamedTuple):
-    """How far to go; None: to the end."""
+    """Limits of an exploration; None: no limit."""
 
     rounds: int | None = None
     states: int | None = None
@@ -35,8 +35,8 @@ class Bounds(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far it has come: rounds that are explored whole, different states at rounds' ends, those of them whose rounds
-    are still to be explored, program steps taken, seconds."""
+    """Progress of an exploration. `depth`: completely explored rounds; `states`: different states at rounds'
+    ends; `waiting`: those whose rounds are still to be explored; `steps`: program steps taken; `seconds`: time spent."""
 
     depth: int
     states: int
@@ -46,10 +46,10 @@ class Progress(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
-    where nothing is, `reason` says what is wrong, and `culprit` is the event (or init) without a result that would come
-    next. `of_agents`: agents can do each round of it (`is_order_of_agents`); `shortest`: where that takes more rounds
-    than the language needs, how many those are."""
+    """A violation with its run. `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the
+    conjunct that is false in the last state; without one `reason` explains the violation, and `culprit` is the event (or init)
+    without a result that would come next. `of_agents`: agents can execute each round (`is_order_of_agents`).
+    `shortest`: the fewest rounds in the language's order, if the agents' order needs more."""
 
     name: str
     line: int
@@ -62,9 +62,9 @@ class Violation(NamedTuple):
 
 
 class Result(NamedTuple):
-    """`stopped` says what ended it before all was explored, empty where all was; `unseen` are the events that no robot
-    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike,
-    `forgotten` the locals that nobody reads."""
+    """Result of an exploration. `stopped`: the reason why it ended early; empty if everything was explored. `unseen`:
+    events that were never enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry
+    is not used. `forgotten`: locals that nobody reads."""
 
     violation: Violation | None
     progress: Progress
@@ -76,17 +76,17 @@ class Result(NamedTuple):
 
 
 class _Anew(Exception):
-    """The search begins again, with less forgotten."""
+    """The search must restart with fewer reductions."""
 
 
 class _Over(Exception):
-    """A bound is reached; the message says which."""
+    """A limit is reached; the message says which."""
 
 
 class Search:
-    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `as_agents`: only rounds
-    that agents can do; then who is who counts, and every event may stand before another one, so nothing is forgotten.
-    `run` raises Lacking."""
+    """One exploration. `clock` returns seconds; `show` receives the progress from time to time. `as_agents`: only
+    rounds that agents can execute. Pids then matter, and every event may stand before another one, so neither symmetry
+    nor reduction is used. `run` raises MissingEnvironment."""
 
     def __init__(
         self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
@@ -102,22 +102,22 @@ class Search:
         self._fresh()
 
     def _fresh(self) -> None:
-        """Nothing is explored yet."""
+        """Reset everything that was explored."""
         idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
         self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands, self.as_agents)
-        # of robots as they really are
+        # without reductions, for the runs that are shown
         self.exact = Rounds(self.machine, self.independence, idle, as_agents=self.as_agents)
-        self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
-        self.within: set[Packed] = set()  # states before the environment's step that were looked at
-        self.begin: dict[Packed, Packed] = {}  # those after init, with those before
-        self._then: dict[Packed, tuple[int, ...]] = {}  # what stands for a robot's own after the environment's step
-        self.lively: set[Packed] = set()  # where no event is enabled, but some will be
+        self.known: dict[Packed, Packed | None] = {}  # state at a round's end -> a state at the end of the round before
+        self.within: set[Packed] = set()  # explored states before the environment's step
+        self.begin: dict[Packed, Packed] = {}  # state after init -> state before it
+        self._then: dict[Packed, tuple[int, ...]] = {}  # representatives of private states after the environment's step
+        self.lively: set[Packed] = set()  # states from which some event will be enabled, though none is now
         self.stuck = 0
         self.steps = self.depth = 0
         self.waiting = 0
 
     def run(self) -> Result:
-        """All of it."""
+        """Explore, until everything is explored or a limit is reached."""
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
@@ -136,7 +136,7 @@ class Search:
         return Result(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
     def _settled(self) -> tuple[Violation | None, str]:
-        """A search that forgot nothing that matters."""
+        """Repeat the search, with fewer reductions each time, until all of them are justified."""
         while True:
             try:
                 return self._explored()
@@ -182,7 +182,7 @@ class Search:
         return None, ""
 
     def _round(self, fleet: Packed, following: list[Packed]) -> Violation | None:
-        """One round from one state; new ones go into `following`."""
+        """Explore one round from one state, and add new states to `following`."""
         found = self.rounds.ends(fleet)
         self.steps += len(found) - 1
         if self.machine.discards:
@@ -212,11 +212,11 @@ class Search:
         return None
 
     def alike(self, fleet: Packed) -> Packed:
-        """The one that stands for a fleet."""
+        """Return the representative of a fleet."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
 
     def _moved(self, end: Packed) -> Iterator[Packed]:
-        """What stands for the fleets after the environment's step."""
+        """Return the representatives of the fleets after the environment's step."""
         if self.forgetting is None or not self.machine.sensors:
             return self.around.moved(end)
         n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
@@ -235,7 +235,7 @@ class Search:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
-        """Fleets before init and after it."""
+        """Yield fleets before init, each with one after it."""
         program, machine = self.machine.program, self.machine
         rules = [p for p in program.properties if p.kind == "initially"]
         for sensors in self.around.starts():
@@ -250,7 +250,7 @@ class Search:
                 yield from [(before, after) for after in begun] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
-        """Shows the progress. Raises _Over where a bound ends the search."""
+        """Report the progress when due. Raises _BoundReached."""
         now = self.clock()
         if now > self.shown + SHOWN:
             self.shown = now
@@ -264,14 +264,14 @@ class Search:
         return f"the bound of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
-        """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
+        """Return whether no event will ever be enabled, whatever the environment does, though some robot runs."""
         owns = self.machine.owns.values
         if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
             return False
         seen, pending = {fleet}, [fleet]
-        for state in pending:  # grows meanwhile
+        for state in pending:  # grows within the loop
             if state in self.lively or len(self.rounds.ends(state)) > 1 or self.machine.discards:
-                self.machine.discards.clear()  # they are met again where that state's round is explored
+                self.machine.discards.clear()  # they occur again when that state's round is explored
                 self.lively.add(fleet)
                 return False
             new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
@@ -280,11 +280,11 @@ class Search:
         return True
 
     def _run_to(self, fleet: Packed) -> list[RunState]:
-        """How a state at a round's end came about, by the robots that really took the steps."""
+        """Return a run to a state at a round's end, with the real robots of each step."""
         return self._way_to(fleet)[0]
 
     def _way_to(self, fleet: Packed) -> tuple[list[RunState], Packed]:
-        """The same, with the fleet to which it leads."""
+        """Return a run to a state at a round's end, and the fleet in which it ends."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
@@ -299,7 +299,7 @@ class Search:
         return run_states, at
 
     def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
-        """One round's moments, to a fleet that `target` stands for; yields that fleet."""
+        """Append one round's states that leads to a fleet with the representative `target`. Return that fleet."""
         found = self.exact.ways(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
@@ -313,7 +313,7 @@ class Search:
         raise InternalError("a state that was explored has no parent that leads to it")
 
     def _within(self, fleet: Packed, end: Packed) -> list[RunState]:
-        """A run to a state that goes on to a fleet within the round, which `end` stands for."""
+        """Return a run that ends within the round after `fleet`, in a fleet with the representative `end`."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         found = self.exact.ways(at)
@@ -325,7 +325,7 @@ class Search:
             yield RunState(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
     def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> RunState:
-        """The moment after an event in which a loop invariant is false."""
+        """Return the state after an event in which a loop invariant is false."""
         machine = self.machine
         if found.event < 0:  # the others run init, too
             begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
@@ -333,7 +333,7 @@ class Search:
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
     def _broken(self, run_states: list[RunState]) -> Violation:
-        """The invariant that is false at the last moment, by the executable semantics."""
+        """Return the violation of the invariant that is false in the last state, as the semantics evaluates it."""
         program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
             if failed := failing_conjunct(property_, program, state):
@@ -341,8 +341,8 @@ class Search:
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> Violation:
-        """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
-        steps before it."""
+        """Return the violation of an event without a result in a round from `fleet`. The round is explored again with
+        the real robots of each step."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         self.machine.discards.clear()
@@ -356,7 +356,7 @@ class Search:
         return self._discarded(discard, run_states, at, number)
 
     def _discarded(self, found: Discard, run_states: list[RunState], at: Packed, number: int) -> Violation:
-        """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
+        """Return the violation of an event that is tried in the fleet `at`, in round `number` after `run_states`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             run_states.append(self._false_in(found, found.choice, event, at, number))

@@ -1,4 +1,4 @@
-"""What an exploration found, as people read it, as data, and as files that other tools read."""
+"""Result of an exploration as text, as data, and as files for other tools."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from koordgen.verify.prove.report.trace import About, run_trace
 
 
 def verdict(result: Result) -> str:
-    """In a word."""
+    """Return the verdict: VIOLATED, INCONCLUSIVE or HOLDS."""
     if result.violation is not None:
         return "VIOLATED"
     return "INCONCLUSIVE" if result.stopped else "HOLDS"
 
 
 def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
-    """For people, at most 100 columns wide."""
+    """Return the text for people, at most 100 columns wide."""
     lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
     lines += _wrapped(f"{_explored(result)}; {told(result.progress)}")
     if result.violation is not None:
@@ -50,7 +50,7 @@ def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
 
 
 def told(progress: Progress) -> str:
-    """How much was looked at."""
+    """Return the text of the progress: states, steps, seconds."""
     waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
     states = f"{progress.states} state{'s' * (progress.states != 1)}"
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
@@ -88,7 +88,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any]:
-    """As JSON has it."""
+    """Return the result for JSON."""
     found = result.violation
     return {
         "verdict": verdict(result),
@@ -129,7 +129,7 @@ def trace(found: Violation, program: decl.Program, about: About) -> str:
 
 
 def itf(found: Violation, program: decl.Program) -> str:
-    """The run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
+    """Return the run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
     robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
     names = [*own(found.run_states[0].state, 0), "stopped"]
