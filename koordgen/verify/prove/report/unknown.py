@@ -33,7 +33,7 @@ def unknown_reason(program: decl.Program, obligation: Obligation, answer: Solver
     known = f". The prover approximates: {'; '.join(less)}" if less else ""
     loops = any("of what the loop writes" in note for note in obligation.notes)
     say = "an invariant of the loop, an invariant" if loops else "an invariant"
-    return f"{where}: {unshown}{known}. Constrain it by {say}, a contract or an axiom"
+    return f"{where}: {unshown}{known}. Add facts to {say}, a contract or an axiom"
 
 
 def exhausted(answer: SolverAnswer) -> bool:

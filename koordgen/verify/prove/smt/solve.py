@@ -349,7 +349,7 @@ class Solver:
         words = _short(process.read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (
-            f" (its memory limit is {allowed(self.limits.memory)} MB)" if status in (-11, -9, -6, 101, 127) else ""
+            f" (its memory is limited to {allowed(self.limits.memory)} MB)" if status in (-11, -9, -6, 101, 127) else ""
         )
         return f"{self.name} {how} during a query{f', with the output: {words}' if words else ''}{hint}"
 

@@ -150,10 +150,10 @@ def _brief(effort: Effort) -> Iterator[None]:
     """Failed proofs are explained in less time than people would give them."""
     bounds = reach.SearchBounds(seconds=effort.explaining)
     with ExitStack() as stack:
-        stack.enter_context(patch.object(explain, "Bounds", lambda: bounds))
-        stack.enter_context(patch.object(explain, "SECONDS", effort.explaining))
-        stack.enter_context(patch.object(explain, "PATIENCE", 10 * effort.explaining))
-        stack.enter_context(patch.object(explain, "MOST", 10 * effort.explaining))
+        stack.enter_context(patch.object(explain, "SearchBounds", lambda: bounds))
+        stack.enter_context(patch.object(explain, "STRENGTHENING_SECONDS", effort.explaining))
+        stack.enter_context(patch.object(explain, "SEARCH_SECONDS", 10 * effort.explaining))
+        stack.enter_context(patch.object(explain, "QUERY_SECONDS", 10 * effort.explaining))
         yield
 
 
