@@ -25,11 +25,18 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
 from koordgen.lang.source import Source, Span
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import Environment, Lacking, Surroundings, answering
+from koordgen.verify.explore.environment import Environment, EnvironmentSteps, MissingEnvironment, possible_answers
+from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import DEADLOCK, Bounds, Progress, Result, Search, Violation
-from koordgen.verify.explore.show import document, itf, report, told, trace
+from koordgen.verify.explore.search import (
+    DEADLOCK,
+    ExplorationBounds,
+    ExplorationProgress,
+    ExplorationResult,
+    FoundViolation,
+    Search,
+)
+from koordgen.verify.explore.show import document, itf, progress_text, report, trace
 from koordgen.verify.prove.report.trace import About
 from koordgen.verify.replay.functions import CannotCall, externs
 
@@ -50,7 +57,7 @@ def explore(options: Namespace) -> int:
         result = _searched(options, program, robots, around, lambda: _about(options, program, robots, around, given))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    except Lacking as error:
+    except MissingEnvironment as error:
         raise Failure(USAGE, str(error), "`koordgen docs explore` explains such a file") from None
     if options.format == "json":
         print(json.dumps(document(result, program, robots), indent=2), flush=True)
@@ -69,28 +76,28 @@ def explore(options: Namespace) -> int:
 def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
     """What a run that was found was made with."""
     hashed, functions = hash_of(program, options.program, options.functions)
-    return About(hashed, tuple(given), answering(around, program, robots), externs(program, functions))
+    return About(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
 
 
 def _searched(
     options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], About]
-) -> Result:
+) -> ExplorationResult:
     line = Line(sys.stderr)
 
-    def show(progress: Progress) -> None:
+    def show(progress: ExplorationProgress) -> None:
         rate = progress.states / max(progress.seconds, 1e-9)
-        line.show(f"depth {progress.depth}: {told(progress)}, {rate:,.0f} states/s")
+        line.show(f"depth {progress.depth}: {progress_text(progress)}, {rate:,.0f} states/s")
 
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
-    bounds = Bounds(options.rounds, options.states, options.seconds)
+    bounds = ExplorationBounds(options.rounds, options.states, options.seconds)
     started = time.monotonic()
 
     def left() -> float | None:
         return None if options.seconds is None else max(0.0, options.seconds - (time.monotonic() - started))
 
     try:
-        machine = Machine(program, robots, answering(around, program, robots), Path(functions))
-        surroundings = Surroundings(machine, around)
+        machine = Machine(program, robots, possible_answers(around, program, robots), Path(functions))
+        surroundings = EnvironmentSteps(machine, around)
         search = Search(
             machine, surroundings, bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
@@ -120,16 +127,16 @@ def _searched(
         line.end()
 
 
-def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
+def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
     """How far a run is looked for among those that agents can do. What is one round of the language may take one of
     theirs for each robot: they commit one transaction for each lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
     rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
-    return Bounds(rounds, min(states, bounds.states or states), seconds)
+    return ExplorationBounds(rounds, min(states, bounds.states or states), seconds)
 
 
-def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
+def _of_agents(found: FoundViolation, program: Program, about: About, seconds: float | None) -> bool:
     """Return whether agents can do each round of a run; an event without a result is a part of it. Where that takes
     more than
     `seconds` to find out, the answer is False."""
@@ -164,7 +171,7 @@ def _environment(options: Namespace, program: Program, robots: int) -> Environme
     return around
 
 
-def _status(result: Result) -> int:
+def _status(result: ExplorationResult) -> int:
     if result.violation is not None:
         return VIOLATED
     if result.stopped == "interrupted":

@@ -15,13 +15,13 @@ from koordgen.lang.semantics.exec import NoMeaning
 from koordgen.lang.semantics.property import Asked, holds_assumption
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
-from koordgen.verify.explore.machine import Answer, Machine, Own, Packed
+from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
 from koordgen.verify.replay.functions import meant_value
 
 STRAIGHT: Final = "straight"  # answer of a planner: the path from `position` straight to the goal
 
 
-class Domain(NamedTuple):
+class SensorDomain(NamedTuple):
     """Values of one sensor. `near`: whether a value may follow another one within a round; None: any may. `starts`:
     values at the beginning; None: all. `seen_from`: computes the value from the robot's position."""
 
@@ -31,7 +31,7 @@ class Domain(NamedTuple):
     seen_from: Callable[[Any], Value] | None = None
 
 
-class Lacking(Exception):
+class MissingEnvironment(Exception):
     """An environment is needed for a port, but missing or unusable; the message names the port."""
 
 
@@ -39,7 +39,7 @@ class Environment(NamedTuple):
     """Values of ports by "Module.port": `domains` of sensors; possible `answers` of callable ports, values or STRAIGHT.
     `robots`: environments of single robots, which replace this one. `params`: values that the environment sets."""
 
-    domains: Mapping[str, Domain]
+    domains: Mapping[str, SensorDomain]
     answers: Mapping[str, tuple[Any, ...]]
     robots: Mapping[int, Environment] = {}
     params: Mapping[str, Any] = {}
@@ -49,18 +49,18 @@ class Environment(NamedTuple):
         return self.robots.get(pid, self)
 
 
-def answering(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
+def possible_answers(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
     """Return a function that yields the possible answers of a robot's callable ports, given its sensors' values. It
     raises MissingEnvironment if the assumptions allow no answer."""
     params = initial(program, 1).params
-    judges = {port: _judges(program, port) for port in environment.answers}
-    read = {port: _sensors(program, rules, port) for port, rules in judges.items()}
+    deciding = {port: _answer_assumptions(program, port) for port in environment.answers}
+    read = {port: _sensors(program, rules, port) for port, rules in deciding.items()}
     known: dict[Hashable, tuple[Any, ...]] = {}
 
     def allowed(pid: int, sensors: Mapping[str, Any], asked: Asked) -> bool:
         return all(
             holds_assumption(rule, program, sensors, sensors, pid, n_sys, params, asked=[asked])
-            for rule in judges[asked.port]
+            for rule in deciding[asked.port]
         )
 
     def answers(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -77,13 +77,15 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
         kept = tuple([answer for answer in given if allowed(pid, sensors, Asked(port, args, answer))])
         if not kept:
             asked = ", ".join(map(str, args))
-            raise Lacking(f"{port}({asked}) of robot {pid}: the program's assumptions allow none of its answers")
+            raise MissingEnvironment(
+                f"{port}({asked}) of robot {pid}: the program's assumptions allow none of its answers"
+            )
         return kept
 
     return answers
 
 
-def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
+def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumption]:
     """Return the assumptions that read only a port's answer, and sensors at the time of the call."""
     sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
     found = []
@@ -102,7 +104,7 @@ def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> 
     return tuple(sorted(found | {position_beside(program, port)}))
 
 
-class Surroundings:
+class EnvironmentSteps:
     """Steps of the environment from fleets of one machine."""
 
     def __init__(self, machine: Machine, environment: Environment) -> None:
@@ -117,14 +119,14 @@ class Surroundings:
         """Yield all sensors' values when a mission begins. `initially` is not checked here."""
         return product(*[self._starts(domains) for domains in self.domains])
 
-    def _starts(self, domains: Mapping[str, Domain]) -> list[dict[str, Value]]:
+    def _starts(self, domains: Mapping[str, SensorDomain]) -> list[dict[str, Value]]:
         pools: list[tuple[Value, ...]] = []
         for name in self.machine.sensors:
             values, _, starts, _ = domains[name]
             pools.append((True,) if name in self.machine.unset else values if starts is None else starts)
         return [self._looked(domains, values) for values in product(*pools)]
 
-    def _looked(self, domains: Mapping[str, Domain], values: tuple[Value, ...]) -> dict[str, Value]:
+    def _looked(self, domains: Mapping[str, SensorDomain], values: tuple[Value, ...]) -> dict[str, Value]:
         """Return values of sensors by name, including those computed from the robot's position."""
         found = dict(zip(self.machine.sensors, values, strict=True))
         for name in found:
@@ -161,10 +163,10 @@ class Surroundings:
             found = self._moves[pid, own] = tuple(moved)
         return found
 
-    def _nearby(self, domain: Domain, now: Value) -> list[Value]:
+    def _nearby(self, domain: SensorDomain, now: Value) -> list[Value]:
         return [v for v in domain.values if domain.near is None or domain.near(now, v)]
 
-    def _allowed(self, pid: int, robot: Own, new: Mapping[str, Any]) -> bool:
+    def _allowed(self, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
         """Return whether the assumptions allow one robot's sensors to change to these values."""
         program, types = self.machine.program, self.machine.types
         before = {n: meant_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
@@ -176,9 +178,9 @@ class Surroundings:
                         assumption, program, before, after, pid, self.machine.n_sys, self.machine.params
                     )
                 except Discarded as error:
-                    raise Lacking(f"{module.name}: an assumption has no value: {error}") from None
+                    raise MissingEnvironment(f"{module.name}: an assumption has no value: {error}") from None
                 except NoMeaning as error:
-                    raise Lacking(f"{module.name}: an assumption cannot be evaluated: {error}") from None
+                    raise MissingEnvironment(f"{module.name}: an assumption cannot be evaluated: {error}") from None
                 if not held:
                     return False
         return True

@@ -12,7 +12,7 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.property import Each, One
 from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Interned, Machine, Packed
-from koordgen.verify.explore.pairs import Pairs, spread
+from koordgen.verify.explore.pairs import PairInvariants, pair_formula
 
 
 class _Fleet:
@@ -79,7 +79,7 @@ class Invariants:
             if property_.kind == "invariant":
                 meant[not _calls(property_.formula, specs)].append(property_)
         self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
-        spreads = [spread(property_.formula) for property_ in self.properties]
+        spreads = [pair_formula(property_.formula) for property_ in self.properties]
         self._holds = [self._compiled(property_) for property_ in self.properties]
         self._whole = [
             (_View(property_.formula, machine), holds)
@@ -87,7 +87,7 @@ class Invariants:
             if one is None
         ]
         self._fleet = _Fleet(machine.n_sys)
-        self._pairs = Pairs(machine, [one for one in spreads if one], self._fleet, self._take)
+        self._pairs = PairInvariants(machine, [one for one in spreads if one], self._fleet, self._take)
         names, program = machine.names, machine.program
         self._each: dict[str, Each[Any]] = {}
         self._one: dict[str, One[Any]] = {}

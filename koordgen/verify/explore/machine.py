@@ -33,7 +33,7 @@ Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...
 _numbers = count()
 
 
-class Own(NamedTuple):
+class PrivateState(NamedTuple):
     """One robot's private state; ports by "Module.port". `unset`: sensors that commands clear but no command has
     cleared yet; they are true until then."""
 
@@ -44,7 +44,7 @@ class Own(NamedTuple):
     unset: frozenset[str] = frozenset()
 
 
-class Choice(NamedTuple):
+class RobotStep(NamedTuple):
     """One possible step of a robot: index of the event, private state and slots afterwards, writes to cells."""
 
     event: int
@@ -53,7 +53,7 @@ class Choice(NamedTuple):
     cells: int
 
 
-class Discard(NamedTuple):
+class DiscardedEvent(NamedTuple):
     """A discarded event (-1: init), or one in which the loop invariant on `line` is false; then `choice` is its result.
     `seen`: the store that it read, which is slots and cells of a packed fleet."""
 
@@ -63,17 +63,17 @@ class Discard(NamedTuple):
     seen: Packed
     line: int
     reason: str
-    choice: Choice | None = None
+    choice: RobotStep | None = None
 
 
-class Asking:
+class AnswerEnumeration:
     """Enumeration of an event's runs, one for each combination of port answers. Equal calls get equal answers."""
 
     def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
         self._answers = answers
         self._raised: Exception | None = None
 
-    def ways(self) -> Iterator[None]:
+    def runs(self) -> Iterator[None]:
         """Yield once per combination; the caller then runs the event. Re-raises an exception of the answers, which the
         run itself would report as a fault of the event."""
         self._pending: list[tuple[int, ...]] = [()]
@@ -131,14 +131,14 @@ class Machine:
         self.unset, self._clears = clearable(program), clears(program)
         self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
         self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
-        self.owns: Interned[Own] = Interned()
+        self.owns: Interned[PrivateState] = Interned()
         self.slots: Interned[tuple[Any, ...]] = Interned()
         self.cells: Interned[tuple[Any, ...]] = Interned()
         self.writes: Interned[Mapping[str, Any]] = Interned()
         self.nothing = self.writes.number((), {})
         self._written: dict[tuple[int, int], int] = {}
         self.params = initial(program, 1).params
-        self.discards: list[Discard] = []
+        self.discards: list[DiscardedEvent] = []
         self.enabled: set[int] = set()
         self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions of events
         place = {event.name: index for index, event in enumerate(program.events)}
@@ -160,14 +160,14 @@ class Machine:
             return None
         return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
 
-    def _may_hold(self, event: int, pid: int, robot: Own, begun: Packed) -> bool:
+    def _may_hold(self, event: int, pid: int, robot: PrivateState, begun: Packed) -> bool:
         """Return whether a guard holds or has no value."""
         try:
             return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
         except Exception:  # a fault of the guard
             return True
 
-    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
         """Return the possible steps of a robot on a store: those of the events whose guards hold, without discarded
         ones. The events have priority, see `prior`."""
         robot = self.owns.values[own]
@@ -175,19 +175,19 @@ class Machine:
             return ()
         asking = self._asking(pid, robot)
         looking = self._looking(pid, robot, seen, asking.call)
-        found: dict[Choice, None] = {}
+        found: dict[RobotStep, None] = {}
         for index in events:
-            for _ in asking.ways():
+            for _ in asking.runs():
                 done = self._run(self.code.events[index], looking, lambda: self.frame(pid, robot, seen, asking.call))
                 if isinstance(done, rt.Fault):
-                    self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+                    self.discards.append(DiscardedEvent(pid, index, own, seen, done.line, done.reason))
                 elif isinstance(done, rt.Effects):
                     self.enabled.add(index)
                     found[self._noted(index, pid, own, seen, done)] = None
         return tuple(found)
 
-    def _asking(self, pid: int, robot: Own) -> Asking:
-        return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
+    def _asking(self, pid: int, robot: PrivateState) -> AnswerEnumeration:
+        return AnswerEnumeration(lambda port, args: self.answer(pid, robot.sensors, port, args))
 
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
         """Run an event. None if its guard does not hold."""
@@ -198,7 +198,7 @@ class Machine:
         except Exception:  # of a guard: run again, so that it is reported like a fault of an effect
             return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
-    def begun(self, fleet: Packed) -> list[Packed]:
+    def after_init(self, fleet: Packed) -> list[Packed]:
         """Return all possible fleets after every robot's init, each of which runs on the store before all of them."""
         init = self.code.init
         if init is None:
@@ -208,17 +208,17 @@ class Machine:
             robot = self.owns.values[fleet[pid]]
             asking = self._asking(pid, robot)
             frame = self.frame(pid, robot, seen, asking.call)
-            made: dict[Choice, None] = {}
-            for _ in asking.ways():
+            made: dict[RobotStep, None] = {}
+            for _ in asking.runs():
                 done = rt.run(self.code, init, self.code.begin(frame))
                 if isinstance(done, rt.Fault):
-                    self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+                    self.discards.append(DiscardedEvent(pid, -1, fleet[pid], seen, done.line, done.reason))
                 else:
                     made[self._noted(-1, pid, fleet[pid], seen, done)] = None
             found = [self.applied(after, pid, choice) for after in found for choice in made]
         return found
 
-    def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
+    def applied(self, fleet: Packed, pid: int, choice: RobotStep) -> Packed:
         """Return a fleet after one robot's event; all its writes take effect together."""
         made = list(fleet)
         made[pid], made[self.n_sys + pid] = choice.own, choice.slots
@@ -231,7 +231,7 @@ class Machine:
         self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
-    def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
+    def _looking(self, pid: int, robot: PrivateState, seen: Packed, call: Call) -> Any:
         """Return the transaction on which guards are evaluated. Guards write nothing, so one object is reused, and only
         the differences are stored in it."""
         if self._look is None:
@@ -256,19 +256,19 @@ class Machine:
         look.pid, look.call = pid, call
         return look
 
-    def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
+    def frame(self, pid: int, robot: PrivateState, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
         """Return the variables that an event of a robot can read."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
-    def own(self, robot: Own) -> int:
+    def own(self, robot: PrivateState) -> int:
         """Return the number of a private state."""
         own = tuple([self.key(v.name, robot.locals[v.name]) for v in self.program.locals])
         return self.owns.number((own, self.ports_key(robot), robot.stopped), robot)
 
-    def ports_key(self, robot: Own) -> Hashable:
+    def ports_key(self, robot: PrivateState) -> Hashable:
         """Return a key that differs for different values of a robot's ports."""
         sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
         return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
@@ -298,26 +298,26 @@ class Machine:
         cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
 
-    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> Choice:
+    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> RobotStep:
         """Return the step with an event's effects. A loop invariant that was false in it is added to the discards."""
         choice = self._choice(index, pid, self.owns.values[own], seen, done)
         for line in done.violated[:1]:
             reason = f"the loop invariant on line {line} is false or has no value"
-            self.discards.append(Discard(pid, index, own, seen, line, reason, choice))
+            self.discards.append(DiscardedEvent(pid, index, own, seen, line, reason, choice))
         return choice
 
-    def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
+    def _choice(self, index: int, pid: int, robot: PrivateState, seen: Packed, done: rt.Effects) -> RobotStep:
         cleared = {sensor: False for name in done.actuators for sensor in self._clears.get(name, ())}
         sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
         actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
-        own = self.own(Own(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
+        own = self.own(PrivateState(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
         slots = seen[pid]
         if any(name in done.shared for name in self.allread):
             held = zip(self.allread, self.slots.values[slots], strict=True)
             slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
         cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
         key = tuple([(name, self.key(name, value)) for name, value in cells.items()])
-        return Choice(index, own, slots, self.writes.number(key, cells))
+        return RobotStep(index, own, slots, self.writes.number(key, cells))
 
     def _cells(self, before: int, writes: int) -> int:
         found = self._written.get((before, writes))
@@ -339,11 +339,11 @@ class Machine:
         key: Hashable = repr(value) if with_floats(self.types[name]) else value
         return key
 
-    def _own(self, robot: Robot) -> Own:
+    def _own(self, robot: Robot) -> PrivateState:
         ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
         locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
         sensors = {name: ports[name] for name in self.sensors}
-        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
+        return PrivateState(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
 
     def _taken(self, name: str, value: Any) -> Any:
         return python_value(value, self.types[name], self.scope, self.names)

@@ -17,7 +17,7 @@ from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Machine, Packed
 
 
-class Spread(NamedTuple):
+class PairFormula(NamedTuple):
     """A formula about robots with one or two names. `numbers`: whether it reads their pids as numbers."""
 
     names: tuple[str, ...]
@@ -25,7 +25,7 @@ class Spread(NamedTuple):
     numbers: bool
 
 
-def spread(formula: ir.Expr) -> Spread | None:
+def pair_formula(formula: ir.Expr) -> PairFormula | None:
     """Return the parts of a formula about one robot or a pair; None for any other formula."""
     names, body = [], formula
     while isinstance(body, ir.Quantified) and body.kind == "forall" and isinstance(body.domain, ir.Ids):
@@ -50,14 +50,14 @@ def spread(formula: ir.Expr) -> Spread | None:
                 numbers += 1
             case _:
                 pass
-    return Spread(tuple(names), body, numbers > indices)
+    return PairFormula(tuple(names), body, numbers > indices)
 
 
-class Pairs:
+class PairInvariants:
     """Invariants about robots and pairs of one machine. `take` stores a fleet's values where formulas read them."""
 
     def __init__(
-        self, machine: Machine, formulas: Sequence[Spread], fleet: object, take: Callable[[Packed], None]
+        self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, take: Callable[[Packed], None]
     ) -> None:
         self._fleet, self._take = fleet, take
         self._numbers = any(f.numbers for f in formulas)
@@ -102,7 +102,7 @@ class Pairs:
             return False
 
 
-def _compiled(formula: Spread, machine: Machine) -> Callable[..., bool]:
+def _compiled(formula: PairFormula, machine: Machine) -> Callable[..., bool]:
     names = ", ".join([machine.names.temp(name) for name in formula.names])
     body = f"def invariant(s, {names}):\n    return {expr.text(formula.body, machine.names)}\n"
     imports = "\n".join([line for group in library.imports(body) for line in group])

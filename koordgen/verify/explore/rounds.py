@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
-from koordgen.verify.explore.machine import Choice, Machine, Packed
+from koordgen.verify.explore.machine import Machine, Packed, RobotStep
 
 Node = tuple[int, Packed]  # bit mask of the robots that have stepped, and the fleet after their steps
-Came = tuple[Node, int, int]  # predecessor, pid and event of the step from it
+Predecessor = tuple[Node, int, int]  # predecessor, pid and event of the step from it
 
 
-class Phase(NamedTuple):
+class EventPhase(NamedTuple):
     """Events of one phase by index: `alone` read nothing shared but their robot's own slots; other plain ones; other
     atomic ones. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
     `priority:` block."""
@@ -33,7 +33,7 @@ class Phase(NamedTuple):
     ranked: bool
 
 
-def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
+def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
     """Return all events but `idle` ones, in phases that commute with one another. Without `independence`, all events
     are in one phase that is explored in every order."""
     events = [event for event in range(len(program.events)) if event not in idle]
@@ -59,11 +59,11 @@ def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()
     return ((_phase(program, free, False),) if free else ()) + tuple(bound)
 
 
-def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
+def _phase(program: decl.Program, events: list[int], ordered: bool) -> EventPhase:
     alone = tuple([e for e in events if _reads_alone(program, program.events[e])])
     plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
     atomic = tuple([e for e in events if e not in alone and e not in plain])
-    return Phase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
+    return EventPhase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
 
 
 def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
@@ -93,27 +93,27 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
     return reads, writes
 
 
-class Rounds:
+class RoundExplorer:
     """Rounds of one machine. A robot's choices are computed once for each private state and store; if robots are
-    `alike`, once for all orders of the others' slots. `stands` returns the representative of a robot's private state
+    `alike`, once for all orders of the others' slots. `representative` returns that of a robot's private state
     after its step, given its pid and the store; nobody reads that state before the round's end. `as_agents`: only
     rounds that agents can execute (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
-        stands: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
+        representative: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
     ) -> None:  # fmt: skip
-        self.machine, self.alike, self.stands, self.as_agents = machine, alike, stands, as_agents
+        self.machine, self.alike, self.representative, self.as_agents = machine, alike, representative, as_agents
         self.phases = phases(machine.program, independence, idle)
-        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[Choice, ...]] = {}
+        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[RobotStep, ...]] = {}
         self._prior: dict[tuple[tuple[int, ...], int, int, Packed], tuple[int, ...]] = {}
-        self._alone: dict[Packed, tuple[Choice, ...]] = {}
+        self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
         """Return every fleet that the program's step may end in, skips included, with the robots that have stepped. The
         first is that in which no robot has. Every fleet within a round is among them, since the others may skip."""
         if self.as_agents:
-            return self.ways(fleet)
+            return self.ends_with_predecessors(fleet)
         found: list[Node] = [(0, fleet)]
         n_sys = self.machine.n_sys
         begun = fleet[n_sys:]
@@ -137,7 +137,7 @@ class Rounds:
             for choice in self._choices(number, pid, at, begun)
         ]
 
-    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[Choice, ...]) -> list[Node]:
+    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[RobotStep, ...]) -> list[Node]:
         bit, slot, machine = 1 << pid, self.machine.n_sys + pid, self.machine
         new = []
         for mask, at in found:
@@ -164,11 +164,11 @@ class Rounds:
                             pending.append(node)
         return pending
 
-    def ways(self, fleet: Packed) -> dict[Node, Came | None]:
+    def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
         """Return the ends of the round, each with the step that led to it."""
         if self.as_agents:
             return self._ways_of_agents(fleet)
-        found: dict[Node, Came | None] = {(0, fleet): None}
+        found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
             if phase.ordered:
@@ -182,11 +182,11 @@ class Rounds:
                         self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
         return found
 
-    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Came | None]:
+    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
         """Return the ends of rounds in the agents' order: commits, at most one for each lock, then plain events by
         ascending pid. All read the round's start, since no commit writes what one under another lock reads."""
         machine, events = self.machine, self.machine.program.events
-        found: dict[Node, Came | None] = {(0, fleet): None}
+        found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]
         first = {pid: machine.first(pid, fleet[pid], begun) for pid in range(machine.n_sys)}
         chosen = {pid: event for pid, event in first.items() if event is not None}
@@ -201,7 +201,9 @@ class Rounds:
                     self._stepped(found, pid, node, choices)
         return found
 
-    def _stepped(self, found: dict[Node, Came | None], pid: int, node: Node, choices: tuple[Choice, ...]) -> list[Node]:
+    def _stepped(
+        self, found: dict[Node, Predecessor | None], pid: int, node: Node, choices: tuple[RobotStep, ...]
+    ) -> list[Node]:
         """Apply one robot's choices to a node, unless the robot has stepped. Return the new nodes."""
         mask, fleet = node
         if mask >> pid & 1:
@@ -214,9 +216,9 @@ class Rounds:
                 added.append(following)
         return added
 
-    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[Choice, ...]:
+    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[RobotStep, ...]:
         phase, slot = self.phases[number], self.machine.n_sys + pid
-        found: tuple[Choice, ...] = ()
+        found: tuple[RobotStep, ...] = ()
         if phase.alone:
             key = (number, pid, fleet[pid], fleet[slot])
             known = self._alone.get(key)
@@ -233,7 +235,7 @@ class Rounds:
         return found
 
     def _having_priority(
-        self, phase: Phase, events: tuple[int, ...], pid: int, own: int, begun: Packed
+        self, phase: EventPhase, events: tuple[int, ...], pid: int, own: int, begun: Packed
     ) -> tuple[int, ...]:
         if not phase.ranked:
             return events
@@ -247,7 +249,7 @@ class Rounds:
             self._prior[key] = found
         return found
 
-    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
         key = (events, pid, own, seen)
         found = self._known.get(key)
         if found is None:
@@ -260,12 +262,18 @@ class Rounds:
         return found
 
     def _found(
-        self, known: dict[Any, tuple[Choice, ...]], key: Any, events: tuple[int, ...], pid: int, own: int, seen: Packed
-    ) -> tuple[Choice, ...]:
+        self,
+        known: dict[Any, tuple[RobotStep, ...]],
+        key: Any,
+        events: tuple[int, ...],
+        pid: int,
+        own: int,
+        seen: Packed,
+    ) -> tuple[RobotStep, ...]:
         discards = len(self.machine.discards)
         found = self.machine.choices(events, pid, own, seen)
-        if self.stands is not None:
-            found = tuple([c._replace(own=self.stands(pid, c.own, _with(seen, pid, c.slots))) for c in found])
+        if self.representative is not None:
+            found = tuple([c._replace(own=self.representative(pid, c.own, _with(seen, pid, c.slots))) for c in found])
         if len(self.machine.discards) == discards:  # discarded events must be reported each time
             known[key] = found
         return found
@@ -279,7 +287,7 @@ def _with(seen: Packed, pid: int, slots: int) -> Packed:
     return (*seen[:pid], slots, *seen[pid + 1 :])
 
 
-def steps(found: dict[Node, Came | None], node: Node) -> list[tuple[int, int, Packed]]:
+def steps_to(found: dict[Node, Predecessor | None], node: Node) -> list[tuple[int, int, Packed]]:
     """Return the steps of a round to a node, in their order: robot, event and the fleet afterwards."""
     taken: list[tuple[int, int, Packed]] = []
     while (came := found[node]) is not None:

@@ -12,12 +12,12 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.property import holds_property
 from koordgen.lang.semantics.step import initial
-from koordgen.verify.explore.environment import Surroundings
-from koordgen.verify.explore.forget import Forgetting, Unread
+from koordgen.verify.explore.environment import EnvironmentSteps
 from koordgen.verify.explore.invariants import Invariants
-from koordgen.verify.explore.machine import Choice, Discard, Machine, Packed
-from koordgen.verify.explore.rounds import Came, Node, Rounds, steps
-from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
+from koordgen.verify.explore.machine import DiscardedEvent, Machine, Packed, RobotStep
+from koordgen.verify.explore.reduction import StateReduction, Unread
+from koordgen.verify.explore.rounds import Node, Predecessor, RoundExplorer, steps_to
+from koordgen.verify.explore.symmetry import asymmetry, sorted_robots
 from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
 from koordgen.verify.prove.report.reach import RunState
 
@@ -26,7 +26,7 @@ LOOP = "line "  # prefix of the name of a loop invariant; its line follows
 SHOWN = 0.25  # seconds between two reports of the progress
 
 
-class Bounds(NamedTuple):
+class ExplorationBounds(NamedTuple):
     """Limits of an exploration; None: no limit."""
 
     rounds: int | None = None
@@ -34,9 +34,10 @@ class Bounds(NamedTuple):
     seconds: float | None = None
 
 
-class Progress(NamedTuple):
+class ExplorationProgress(NamedTuple):
     """Progress of an exploration. `depth`: completely explored rounds; `states`: different states at rounds'
-    ends; `waiting`: those whose rounds are still to be explored; `steps`: program steps taken; `seconds`: time spent."""
+    ends; `waiting`: those whose rounds are still to be explored; `steps`: program steps taken; `seconds`: time
+    spent."""
 
     depth: int
     states: int
@@ -45,11 +46,11 @@ class Progress(NamedTuple):
     seconds: float
 
 
-class Violation(NamedTuple):
+class FoundViolation(NamedTuple):
     """A violation with its run. `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the
-    conjunct that is false in the last state; without one `reason` explains the violation, and `culprit` is the event (or init)
-    without a result that would come next. `of_agents`: agents can execute each round (`is_order_of_agents`).
-    `shortest`: the fewest rounds in the language's order, if the agents' order needs more."""
+    conjunct that is false in the last state; without one `reason` explains the violation, and `culprit` is the event
+    (or init) without a result that would come next. `of_agents`: agents can execute each round
+    (`is_order_of_agents`). `shortest`: the fewest rounds in the language's order, if the agents' order needs more."""
 
     name: str
     line: int
@@ -61,13 +62,13 @@ class Violation(NamedTuple):
     shortest: int | None = None
 
 
-class Result(NamedTuple):
+class ExplorationResult(NamedTuple):
     """Result of an exploration. `stopped`: the reason why it ended early; empty if everything was explored. `unseen`:
     events that were never enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry
     is not used. `forgotten`: locals that nobody reads."""
 
-    violation: Violation | None
-    progress: Progress
+    violation: FoundViolation | None
+    progress: ExplorationProgress
     stopped: str
     unseen: tuple[decl.Event, ...]
     unchecked: tuple[str, ...]
@@ -75,11 +76,11 @@ class Result(NamedTuple):
     forgotten: tuple[str, ...]
 
 
-class _Anew(Exception):
+class _Restart(Exception):
     """The search must restart with fewer reductions."""
 
 
-class _Over(Exception):
+class _LimitReached(Exception):
     """A limit is reached; the message says which."""
 
 
@@ -89,40 +90,42 @@ class Search:
     nor reduction is used. `run` raises MissingEnvironment."""
 
     def __init__(
-        self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
-        show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
-        forgetting: bool = True, as_agents: bool = False,
+        self, machine: Machine, around: EnvironmentSteps, bounds: ExplorationBounds, clock: Callable[[], float],
+        show: Callable[[ExplorationProgress], None], symmetry: bool = True, independence: bool = True,
+        deadlock: bool = True, forgetting: bool = True, as_agents: bool = False,
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
         self.invariants = Invariants(machine)
         alike = symmetry and not as_agents
-        self.apart = (around.apart or distinguishes(machine.program)) if alike else "it is switched off"
+        self.apart = (around.apart or asymmetry(machine.program)) if alike else "it is switched off"
         self.independence, self.deadlock, self.as_agents = independence, deadlock, as_agents
-        self.forgetting = Forgetting(machine) if forgetting and not as_agents else None
+        self.forgetting = StateReduction(machine) if forgetting and not as_agents else None
         self._fresh()
 
     def _fresh(self) -> None:
         """Reset everything that was explored."""
-        idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
-        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands, self.as_agents)
+        idle, representative = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
+        self.rounds = RoundExplorer(
+            self.machine, self.independence, idle, not self.apart, representative, self.as_agents
+        )
         # without reductions, for the runs that are shown
-        self.exact = Rounds(self.machine, self.independence, idle, as_agents=self.as_agents)
+        self.exact = RoundExplorer(self.machine, self.independence, idle, as_agents=self.as_agents)
         self.known: dict[Packed, Packed | None] = {}  # state at a round's end -> a state at the end of the round before
         self.within: set[Packed] = set()  # explored states before the environment's step
         self.begin: dict[Packed, Packed] = {}  # state after init -> state before it
         self._then: dict[Packed, tuple[int, ...]] = {}  # representatives of private states after the environment's step
-        self.lively: set[Packed] = set()  # states from which some event will be enabled, though none is now
+        self.live: set[Packed] = set()  # states from which some event will be enabled, though none is now
         self.stuck = 0
         self.steps = self.depth = 0
         self.waiting = 0
 
-    def run(self) -> Result:
+    def run(self) -> ExplorationResult:
         """Explore, until everything is explored or a limit is reached."""
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
             violation, stopped = self._settled()
-        except _Over as over:
+        except _LimitReached as over:
             stopped = str(over)
         except OutOfTime:  # within one event, or one round
             stopped = self._bound_of_time()
@@ -133,9 +136,9 @@ class Search:
         unseen = [e for i, e in enumerate(self.machine.program.events) if i not in self.machine.enabled]
         forgotten = self.forgetting.locals if self.forgetting else ()
         unchecked = self.invariants.unchecked
-        return Result(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
+        return ExplorationResult(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
-    def _settled(self) -> tuple[Violation | None, str]:
+    def _settled(self) -> tuple[FoundViolation | None, str]:
         """Repeat the search, with fewer reductions each time, until all of them are justified."""
         while True:
             try:
@@ -143,16 +146,16 @@ class Search:
             except Unread as read:
                 assert self.forgetting is not None
                 self.forgetting.keep(read.name)
-            except _Anew:
+            except _Restart:
                 self.machine.watch({})
                 self.forgetting = None
             self.machine.discards.clear()
             self._fresh()
 
-    def progress(self) -> Progress:
-        return Progress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
+    def progress(self) -> ExplorationProgress:
+        return ExplorationProgress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
 
-    def _explored(self) -> tuple[Violation | None, str]:
+    def _explored(self) -> tuple[FoundViolation | None, str]:
         layer: list[Packed] = []
         for before, after in self._starts():
             alike = self.alike(after)
@@ -181,7 +184,7 @@ class Search:
         self.waiting = 0
         return None, ""
 
-    def _round(self, fleet: Packed, following: list[Packed]) -> Violation | None:
+    def _round(self, fleet: Packed, following: list[Packed]) -> FoundViolation | None:
         """Explore one round from one state, and add new states to `following`."""
         found = self.rounds.ends(fleet)
         self.steps += len(found) - 1
@@ -189,8 +192,8 @@ class Search:
             return self._discarded_in(fleet)
         if self.deadlock and len(found) == 1 and self._dead(fleet):
             if self.forgetting:
-                raise _Anew
-            return Violation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
+                raise _Restart
+            return FoundViolation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
         for _, fleet_then in found:
             end = self._sorted(fleet_then)
             if end in self.within:
@@ -246,8 +249,8 @@ class Search:
                 allowed = False
             if allowed:
                 before = machine.packed(state)
-                begun = machine.begun(before)
-                yield from [(before, after) for after in begun] if not machine.discards else [(before, before)]
+                after_init = machine.after_init(before)
+                yield from [(before, after) for after in after_init] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
         """Report the progress when due. Raises _BoundReached."""
@@ -256,9 +259,9 @@ class Search:
             self.shown = now
             self.show(self.progress())
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
-            raise _Over(self._bound_of_time())
+            raise _LimitReached(self._bound_of_time())
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+            raise _LimitReached(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
 
     def _bound_of_time(self) -> str:
         return f"the bound of {self.bounds.seconds or 0:g} s"
@@ -270,9 +273,9 @@ class Search:
             return False
         seen, pending = {fleet}, [fleet]
         for state in pending:  # grows within the loop
-            if state in self.lively or len(self.rounds.ends(state)) > 1 or self.machine.discards:
+            if state in self.live or len(self.rounds.ends(state)) > 1 or self.machine.discards:
                 self.machine.discards.clear()  # they occur again when that state's round is explored
-                self.lively.add(fleet)
+                self.live.add(fleet)
                 return False
             new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
             seen.update(new)
@@ -289,7 +292,7 @@ class Search:
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
         before = self.begin[chain[-1]]
-        at = next(after for after in self.machine.begun(before) if self.alike(after) == chain[-1])
+        at = next(after for after in self.machine.after_init(before) if self.alike(after) == chain[-1])
         run_states = [
             RunState(self.machine.state(before, 0), "", None, 0),
             RunState(self.machine.state(at), "init", None, 0),
@@ -300,7 +303,7 @@ class Search:
 
     def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
         """Append one round's states that leads to a fleet with the representative `target`. Return that fleet."""
-        found = self.exact.ways(at)
+        found = self.exact.ends_with_predecessors(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
                 if self.alike(moved) == target:
@@ -316,37 +319,37 @@ class Search:
         """Return a run that ends within the round after `fleet`, in a fleet with the representative `end`."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
-        found = self.exact.ways(at)
+        found = self.exact.ends_with_predecessors(at)
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
         return [*run_states, *self._taken(found, node, number)]
 
-    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[RunState]:
-        for pid, event, fleet in steps(found, node):
+    def _taken(self, found: dict[Node, Predecessor | None], node: Node, number: int) -> Iterator[RunState]:
+        for pid, event, fleet in steps_to(found, node):
             yield RunState(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
-    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> RunState:
+    def _false_in(self, found: DiscardedEvent, choice: RobotStep, event: str, at: Packed, number: int) -> RunState:
         """Return the state after an event in which a loop invariant is false."""
         machine = self.machine
         if found.event < 0:  # the others run init, too
-            begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
-            return RunState(machine.state(begun), event, None, 0)
+            after_init = next(fleet for fleet in machine.after_init(at) if fleet[found.pid] == choice.own)
+            return RunState(machine.state(after_init), event, None, 0)
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
-    def _broken(self, run_states: list[RunState]) -> Violation:
+    def _broken(self, run_states: list[RunState]) -> FoundViolation:
         """Return the violation of the invariant that is false in the last state, as the semantics evaluates it."""
         program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
             if failed := failing_conjunct(property_, program, state):
-                return Violation(property_.name, property_.span.line, tuple(run_states), failed, "")
+                return FoundViolation(property_.name, property_.span.line, tuple(run_states), failed, "")
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
-    def _discarded_in(self, fleet: Packed) -> Violation:
+    def _discarded_in(self, fleet: Packed) -> FoundViolation:
         """Return the violation of an event without a result in a round from `fleet`. The round is explored again with
         the real robots of each step."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         self.machine.discards.clear()
-        found = self.exact.ways(at)
+        found = self.exact.ends_with_predecessors(at)
         discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, run_states[-1].round + 1
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
@@ -355,13 +358,13 @@ class Search:
             at = node[1]
         return self._discarded(discard, run_states, at, number)
 
-    def _discarded(self, found: Discard, run_states: list[RunState], at: Packed, number: int) -> Violation:
+    def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
         """Return the violation of an event that is tried in the fleet `at`, in round `number` after `run_states`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             run_states.append(self._false_in(found, found.choice, event, at, number))
             reason = f"{found.reason} in {event} of robot {found.pid}"
-            return Violation(f"{LOOP}{found.line}", found.line, tuple(run_states), None, reason)
+            return FoundViolation(f"{LOOP}{found.line}", found.line, tuple(run_states), None, reason)
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
         culprit = RunState(run_states[-1].state, event, found.pid, number)
-        return Violation(WELL_DEFINED, found.line, tuple(run_states), None, reason, culprit)
+        return FoundViolation(WELL_DEFINED, found.line, tuple(run_states), None, reason, culprit)

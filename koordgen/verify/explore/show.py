@@ -10,7 +10,14 @@ from typing import Any
 from koordgen.lang.ir import decl
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
+from koordgen.verify.explore.search import (
+    DEADLOCK,
+    LOOP,
+    WELL_DEFINED,
+    ExplorationProgress,
+    ExplorationResult,
+    FoundViolation,
+)
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.table import (
     WIDTH,
@@ -23,17 +30,17 @@ from koordgen.verify.prove.report.table import (
 from koordgen.verify.prove.report.trace import About, run_trace
 
 
-def verdict(result: Result) -> str:
+def verdict(result: ExplorationResult) -> str:
     """Return the verdict: VIOLATED, INCONCLUSIVE or HOLDS."""
     if result.violation is not None:
         return "VIOLATED"
     return "INCONCLUSIVE" if result.stopped else "HOLDS"
 
 
-def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
+def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: int) -> str:
     """Return the text for people, at most 100 columns wide."""
     lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
-    lines += _wrapped(f"{_explored(result)}; {told(result.progress)}")
+    lines += _wrapped(f"{_explored(result)}; {progress_text(result.progress)}")
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
@@ -49,20 +56,20 @@ def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def told(progress: Progress) -> str:
+def progress_text(progress: ExplorationProgress) -> str:
     """Return the text of the progress: states, steps, seconds."""
     waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
     states = f"{progress.states} state{'s' * (progress.states != 1)}"
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
 
 
-def _explored(result: Result) -> str:
+def _explored(result: ExplorationResult) -> str:
     if result.violation is None and not result.stopped:
         return f"explored completely, to depth {result.progress.depth}"
     return f"explored to depth {result.progress.depth}"
 
 
-def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
+def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
     rounds = found.run_states[-1].round
     after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
@@ -87,7 +94,7 @@ def _wrapped(text: str) -> list[str]:
     )
 
 
-def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any]:
+def document(result: ExplorationResult, program: decl.Program, n_sys: int) -> dict[str, Any]:
     """Return the result for JSON."""
     found = result.violation
     return {
@@ -106,7 +113,7 @@ def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any
     }
 
 
-def _data(found: Violation) -> dict[str, Any]:
+def _data(found: FoundViolation) -> dict[str, Any]:
     return {
         "what": found.name,
         "line": found.failed.formula.span.line if found.failed else found.line,
@@ -118,7 +125,7 @@ def _data(found: Violation) -> dict[str, Any]:
     }
 
 
-def trace(found: Violation, program: decl.Program, about: About) -> str:
+def trace(found: FoundViolation, program: decl.Program, about: About) -> str:
     """Return the run as a trace."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason
@@ -128,7 +135,7 @@ def trace(found: Violation, program: decl.Program, about: About) -> str:
     return run_trace(program, found.run_states, (found.name, line, detail), about, culprit)
 
 
-def itf(found: Violation, program: decl.Program) -> str:
+def itf(found: FoundViolation, program: decl.Program) -> str:
     """Return the run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
     robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]

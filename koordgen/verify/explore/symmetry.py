@@ -23,7 +23,7 @@ _OF_INTS = frozenset(("sum", "min", "max"))
 _SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
 
 
-def distinguishes(program: decl.Program) -> str:
+def asymmetry(program: decl.Program) -> str:
     """Return what in a program distinguishes robots, and its line; empty if the program is symmetric."""
     parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
     parts += [(a.formula, "an assumption") for m in program.modules for a in m.assumptions]

@@ -10,7 +10,7 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.explore.search import Search
-from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
+from koordgen.verify.explore.symmetry import asymmetry, sorted_robots
 from koordgen.verify.prove.report.model import is_true
 from tests.lang.semantics.priorities import in_one_block, ranked
 from tests.lang.semantics.programs import compiled
@@ -158,7 +158,7 @@ def test_many_random_programs_do_what_the_semantics_does(seed: int) -> None:
 def compare_alike(program: Program, n_sys: int, around: object, number: int | None) -> int:
     """With symmetry one state stands for all of its permutations, and the verdict is the same. Yields the states."""
     bare = unjudged(program)
-    assert not distinguishes(program)
+    assert not asymmetry(program)
     alike, _ = explored(bare, n_sys, around, number, deadlock=False, forgetting=False)  # type: ignore[arg-type]
     plain, _ = explored(bare, n_sys, around, number, symmetry=False, deadlock=False, forgetting=False)  # type: ignore[arg-type]
     stand_for = {key(alike.machine.state(fleet)) for fleet in alike.known}
@@ -195,8 +195,8 @@ def test_random_programs_of_three_that_treat_all_alike(seed: int) -> None:
     ("n.count(2) == N_SYS", "n[N_SYS - 1] == 2"),
 ])  # fmt: skip
 def test_whatever_tells_robots_apart_is_seen(old: str, new: str) -> None:
-    assert not distinguishes(compiled(ALIKE))
-    assert distinguishes(compiled(ALIKE.replace(old, new)))
+    assert not asymmetry(compiled(ALIKE))
+    assert asymmetry(compiled(ALIKE.replace(old, new)))
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -9,9 +9,9 @@ import pytest
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
-from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, Bounds
+from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
+from koordgen.verify.explore.environment_file import environment
+from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, ExplorationBounds
 from koordgen.verify.explore.show import document, itf, report, trace
 from koordgen.verify.prove.report.trace import About
 from koordgen.verify.prove.report.verdict import Question, prove
@@ -68,7 +68,7 @@ Stop:
 initially: forall i in ID: not Lamp.lit[i]
 invariant Dark: forall i in ID: not Lamp.lit[i]
 """
-LIT = Environment({"Lamp.lit": Domain((False, True))}, {})
+LIT = Environment({"Lamp.lit": SensorDomain((False, True))}, {})
 
 
 def names(run_states: object) -> list[tuple[int, str, int | None]]:
@@ -168,11 +168,11 @@ def test_what_initially_excludes_all_is_no_proof() -> None:
 
 
 @pytest.mark.parametrize("bounds, stopped, depth", [
-    (Bounds(rounds=2), "the bound of 2 rounds", 2),
-    (Bounds(states=5), "the bound of 5 states", 1),
-    (Bounds(seconds=0.01), "the bound of 0.01 s", 1),
+    (ExplorationBounds(rounds=2), "the bound of 2 rounds", 2),
+    (ExplorationBounds(states=5), "the bound of 5 states", 1),
+    (ExplorationBounds(seconds=0.01), "the bound of 0.01 s", 1),
 ])  # fmt: skip
-def test_a_bound_is_told(bounds: Bounds, stopped: str, depth: int) -> None:
+def test_a_bound_is_told(bounds: ExplorationBounds, stopped: str, depth: int) -> None:
     program = compiled(COUNT)
     _, result = explored(program, 3, bounds=bounds, deadlock=False)
     assert result.violation is None and (result.stopped, result.progress.depth) == (stopped, depth)
@@ -246,7 +246,7 @@ def test_an_environment_is_read() -> None:
     "text, lacking", [(None, "Motion.position"), ("Motion.position: [[0, 0, 0]]", "Motion.planner")]
 )
 def test_ports_without_values_are_named(text: str | None, lacking: str) -> None:
-    with pytest.raises(Lacking, match=f"^{lacking} needs .*--env"):
+    with pytest.raises(MissingEnvironment, match=f"^{lacking} needs .*--env"):
         read(compiled(MOTION), text)
 
 
@@ -272,8 +272,8 @@ def test_a_bound_holds_within_a_round_of_many_ends() -> None:
     values = tuple(range(20))
     text = "using Dev:\n  sensors: int level\nlocal: int n\nUp:\n  pre: n < 9\n  eff: n += Dev.level\n"
     program = compiled(text + "initially: forall i in ID: Dev.level[i] == 5\n")  # one state, then 1,600 in one round
-    around = Environment({"Dev.level": Domain(values)}, {})
-    result = explored(program, 2, around, bounds=Bounds(states=450), symmetry=False)[1]
+    around = Environment({"Dev.level": SensorDomain(values)}, {})
+    result = explored(program, 2, around, bounds=ExplorationBounds(states=450), symmetry=False)[1]
     assert result.stopped == "the bound of 450 states" and result.progress.states <= 450 + 20 * 20
 
 

@@ -83,8 +83,8 @@ def run_to(
 
 
 def _searched(
-    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds, fleets: Iterable[int],
-    as_agents: bool,
+    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds,
+    fleets: Iterable[int], as_agents: bool,
 ) -> CounterexampleRun | None:  # fmt: skip
     until = time.process_time() + bounds.seconds
     try:
@@ -102,8 +102,8 @@ class _RunSearch:
     """Breadth-first search of runs. `as_agents`: each robot runs only the event that agents choose."""
 
     def __init__(
-        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds, until: float,
-        as_agents: bool,
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds,
+        until: float, as_agents: bool,
     ) -> None:  # fmt: skip
         self.program = program
         self.invariant = invariant

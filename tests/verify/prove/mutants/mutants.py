@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.explore.environment import Lacking
+from koordgen.verify.explore.environment import MissingEnvironment
 from koordgen.verify.prove.report import verdict
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver
@@ -90,7 +90,7 @@ def contradicted(program: Program, solver: Solver, seed: int, judges: Iterable[s
             continue
         try:
             found = JUDGES[judge](program, names, seed, EFFORT)
-        except (CannotCall, Lacking):
+        except (CannotCall, MissingEnvironment):
             continue
         if found is not None:
             return judge, found.invariant

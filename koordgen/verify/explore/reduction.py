@@ -24,9 +24,9 @@ from typing import Any
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
-from koordgen.verify.explore.machine import Interned, Machine, Own, Packed
+from koordgen.verify.explore.machine import Interned, Machine, Packed, PrivateState
 
-MOST = 10_000  # most values of one variable that are tried
+MAX_TRIED = 10_000  # most values of one variable that are tried
 
 
 class Unread(BaseException):
@@ -67,7 +67,7 @@ class _OwnSlots(rt.Slots[Any]):
 
 
 @cache
-def watched(name: str) -> type[rt.Cell[Any]]:
+def unread_cell(name: str) -> type[rt.Cell[Any]]:
     """Return a class of cells that raise Unread if they are read before they are written."""
 
     class Watched(rt.Cell[Any]):
@@ -82,7 +82,7 @@ def watched(name: str) -> type[rt.Cell[Any]]:
     return Watched
 
 
-def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
+def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
     """Return a subclass of the transactions `begin` that show nothing except the robot's locals, actuators and own
     slots. `sensors` are the attributes that are removed."""
 
@@ -104,7 +104,7 @@ def alone(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Tran
     return Alone
 
 
-class Forgetting:
+class StateReduction:
     """Reduction of one machine's fleets: the removed `locals`, and the `idle` events that use nothing else."""
 
     def __init__(self, machine: Machine) -> None:
@@ -113,9 +113,9 @@ class Forgetting:
         named = {node.name for p in program.properties for node in walk(p.formula) if isinstance(node, expr.LocalOf)}
         self._named = tuple([v.name for v in program.locals if v.name in named])
         guards = {node.name for e in program.events for node in walk(e.guard) if isinstance(node, expr.LocalRead)}
-        alone = [_turns_on(event) for event in program.events]
+        restricted = [_only_variable(event) for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
-        self._take([name for name in unread if name not in guards or name in alone])
+        self._take([name for name in unread if name not in guards or name in restricted])
 
     def keep(self, name: str) -> None:
         """Keep a variable, because an event reads it."""
@@ -124,14 +124,14 @@ class Forgetting:
     def _take(self, names: list[str]) -> None:
         self.locals = tuple(names)
         events = enumerate(self.machine.program.events)
-        self._turning = {index: name for index, event in events if (name := _turns_on(event)) in names and name}
+        self._turning = {index: name for index, event in events if (name := _only_variable(event)) in names and name}
         self.idle = frozenset(self._turning)
         self._kept = tuple([v.name for v in self.machine.program.locals if v.name not in names])
         self._standing: dict[tuple[int, int, int], int] = {}
         self._alike: Interned[int] = Interned()
         self._tried: set[Hashable] = set()
-        self.machine.watch({name: watched(name) for name in names})
-        self._alone = alone(self.machine.begin, self.machine.sensor_attributes.values())
+        self.machine.watch({name: unread_cell(name) for name in names})
+        self._alone = restricted(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
         """Return the fleet that represents this one."""
@@ -157,7 +157,7 @@ class Forgetting:
             own = machine.own(robot._replace(stopped=True))
         return self._alike.values[self._alike.number(key, own)]
 
-    def _turn(self, pid: int, robot: Own, seen: Packed) -> None:
+    def _turn(self, pid: int, robot: PrivateState, seen: Packed) -> None:
         """Run the idle events on all values that their variables can take from here."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
@@ -169,7 +169,7 @@ class Forgetting:
                 if key in self._tried:
                     continue
                 self._tried.add(key)
-                if len(self._tried) > MOST:
+                if len(self._tried) > MAX_TRIED:
                     raise Unread(name)
                 frame = machine.frame(pid, robot._replace(locals={**robot.locals, name: value}), seen)
                 for index in [index for index, turning in self._turning.items() if turning == name]:
@@ -185,7 +185,7 @@ class Forgetting:
                         machine.enabled.add(index)
                         pending.append(done.locals[name])
 
-    def _finished(self, pid: int, robot: Own, seen: Packed) -> bool:
+    def _finished(self, pid: int, robot: PrivateState, seen: Packed) -> bool:
         """Return whether a robot will do nothing but stop, whatever others do."""
         machine, code = self.machine, self.machine.code
         frame = machine.frame(pid, robot, seen)
@@ -210,7 +210,7 @@ class Forgetting:
         return bool(stopping)
 
 
-def _turns_on(event: decl.Event) -> str | None:
+def _only_variable(event: decl.Event) -> str | None:
     """Return the only variable that an event reads and writes, if it does nothing else and stands in no block."""
     names, parts = set(), (event.guard, event.effect)
     for node in walk(parts):

@@ -19,10 +19,10 @@ from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
+from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
 from koordgen.verify.explore.lidar import lidar
 
-MOST = 100_000  # most values of one port
+MAX_VALUES = 100_000  # most values of one port
 ROUNDING = 1e-9  # tolerance as a part of a step: more than rounding adds to a distance of some steps
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
@@ -34,7 +34,7 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
     called = [name for name, p in ports.items() if p.direction == "callable"]
-    found = Environment({name: Domain((False, True)) for name, type_ in sensors.items() if type_ == BOOL}, {})
+    found = Environment({name: SensorDomain((False, True)) for name, type_ in sensors.items() if type_ == BOOL}, {})
     if source is not None:
         mistakes: list[int] = []
 
@@ -42,7 +42,7 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
             mistakes.append(1)
             report(*mistake)
 
-        found = _File(Reader(source, noted), program, sensors, called).read(found, n_sys)
+        found = _EnvironmentFile(Reader(source, noted), program, sensors, called).read(found, n_sys)
         if mistakes:
             return None
     for pid in range(n_sys):
@@ -55,13 +55,15 @@ def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type
     if missing:
         kind = f"answers, one of {', '.join(ANSWERS)}" if missing[0] in called else "values, a finite number of them"
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
-        raise Lacking(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
+        raise MissingEnvironment(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
     for name, answers in found.answers.items():
         if STRAIGHT in answers and not position_beside(program, name):
-            raise Lacking(f"{name}: a straight path begins at a position, but the program has no such sensor beside it")
+            raise MissingEnvironment(
+                f"{name}: a straight path begins at a position, but the program has no such sensor beside it"
+            )
 
 
-class _File:
+class _EnvironmentFile:
     def __init__(self, reader: Reader, program: decl.Program, sensors: dict[str, Type], called: list[str]) -> None:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
@@ -121,10 +123,10 @@ class _File:
                 found += self._values([item], name, PATH)
         return tuple(dict.fromkeys(found))
 
-    def _domain(self, node: YamlNode, name: str, usual: Domain | None) -> Domain:
+    def _domain(self, node: YamlNode, name: str, usual: SensorDomain | None) -> SensorDomain:
         type_ = self.sensors[name]
         if node.tag != "tag:yaml.org,2002:map":
-            return Domain(self._values(self._some(node, name), name, type_))
+            return SensorDomain(self._values(self._some(node, name), name, type_))
         keys = [key.value for key, _ in node.value]
         if "lidar" in keys:
             return self._lidar(node, name, type_)
@@ -135,7 +137,7 @@ class _File:
             found = self._grid(node, given, name, type_)
         elif "values" in keys:
             given = self.reader.table(node, name, ["values"], ["start"])
-            found = Domain(self._values(self._some(given.get("values"), name), name, type_))
+            found = SensorDomain(self._values(self._some(given.get("values"), name), name, type_))
         else:
             given, found = self._interval(node, name, type_)
         if "start" not in given:
@@ -146,28 +148,28 @@ class _File:
             self.reader.report("F005", f"{name}.start: {strange[0]} is none of its values", given["start"])
         return found._replace(starts=starts)
 
-    def _grid(self, node: YamlNode, given: dict[str, YamlNode], name: str, type_: Type) -> Domain:
+    def _grid(self, node: YamlNode, given: dict[str, YamlNode], name: str, type_: Type) -> SensorDomain:
         reader = self.reader
         if type_ != POINT:
             reader.report("F004", f"{name} is of type {type_}: a grid has Points; write {_form(type_)}", node)
-            return Domain(())
+            return SensorDomain(())
         box = reader.table(given.get("grid"), f"{name}.grid", ["lo", "hi", "step"], [])
         lo, hi = reader.vector(box.get("lo"), "lo"), reader.vector(box.get("hi"), "hi")
         step = reader.number(box.get("step"), "step", 1e-6, 1e5)
         if lo is None or hi is None or step is None:
-            return Domain(())
+            return SensorDomain(())
         axes = self._axes(node, f"{name}.grid", zip(lo, hi, strict=True), step)
         points = tuple([Point(*place) for place in product(*axes)])
         if "moves" not in given:
-            return Domain(points)
+            return SensorDomain(points)
         reach = reader.number(given["moves"], f"{name}.moves", 0, 1000, int) or 0
-        return Domain(points, _within(reach * step * (1 + ROUNDING)))
+        return SensorDomain(points, _within(reach * step * (1 + ROUNDING)))
 
-    def _interval(self, node: YamlNode, name: str, type_: Type) -> tuple[dict[str, YamlNode], Domain]:
+    def _interval(self, node: YamlNode, name: str, type_: Type) -> tuple[dict[str, YamlNode], SensorDomain]:
         reader = self.reader
         if type_ not in (INT, FLOAT):
             reader.report("F004", f"{name} is of type {type_}: write {_form(type_)}", node)
-            return {}, Domain(())
+            return {}, SensorDomain(())
         kind, needed = (int, ["lo", "hi"]) if type_ == INT else (float, ["lo", "hi", "step"])
         given = reader.table(node, name, needed, ["step", "change", "start"])
         lo, hi = (reader.scalar(given.get(end), f"{name}.{end}", kind) for end in ("lo", "hi"))
@@ -175,24 +177,24 @@ class _File:
         step = reader.number(given["step"], f"{name}.step", least, 1e9, kind) if "step" in given else 1
         change = reader.number(given["change"], f"{name}.change", 0, None, kind) if "change" in given else None
         if lo is None or hi is None or step is None:
-            return given, Domain(())
+            return given, SensorDomain(())
         (values,) = self._axes(node, name, [(lo, hi)], step)
-        return given, Domain(tuple(values), None if change is None else _change(change + ROUNDING * step))
+        return given, SensorDomain(tuple(values), None if change is None else _change(change + ROUNDING * step))
 
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
         """Return for each axis its numbers from low to high; empty if there are none, or too many."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
-        if min(counts) < 1 or math.prod(counts) > MOST:
-            self.reader.report("F005", f"{what} has no value, or more than {MOST}", node)
+        if min(counts) < 1 or math.prod(counts) > MAX_VALUES:
+            self.reader.report("F005", f"{what} has no value, or more than {MAX_VALUES}", node)
             return [[] for _ in ends]
         return [[_stepped(lo, step, k) for k in range(count)] for (lo, _), count in zip(ends, counts, strict=True)]
 
-    def _lidar(self, node: YamlNode, name: str, type_: Type) -> Domain:
+    def _lidar(self, node: YamlNode, name: str, type_: Type) -> SensorDomain:
         reader = self.reader
         if type_ != SCANS or not position_beside(self.program, name):
             reader.report("F004", f"{name} is of type {type_}: a lidar sees List<Point, Scan> from a position", node)
-            return Domain(())
+            return SensorDomain(())
         table = reader.table(
             reader.table(node, name, ["lidar"], []).get("lidar"), "lidar", ["rays", "range"], ["walls"]
         )
@@ -205,8 +207,8 @@ class _File:
             if lo is not None and hi is not None:
                 walls.append((Point(*lo), Point(*hi)))
         if rays is None or range_ is None:
-            return Domain(())
-        return Domain(((),), seen_from=lidar(rays, range_, tuple(walls)))
+            return SensorDomain(())
+        return SensorDomain(((),), seen_from=lidar(rays, range_, tuple(walls)))
 
     def _some(self, node: YamlNode | None, name: str) -> list[YamlNode]:
         items = self.reader.items(node, name)
