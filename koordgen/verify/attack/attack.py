@@ -1,9 +1,9 @@
-"""Attack on a program's PROVED invariants, within a budget: which states are run, in which order, and what was found.
+"""Attack on a program's PROVED invariants, within a time budget: the states, their order, and the result.
 
-Cheap and telling states come first: initial states, `init`, the first events of each robot. Then three sources take
-turns by the time that they have used: random walks out of `init`; states from the solver's models, from which one round
-is run in every order; and states beside those, which differ in a few variables. The same program and seed give the same
-states; the budget says how many of them.
+Cheap and likely states come first: initial states, `init`, the first events of each robot. Then three sources alternate
+by the time that they have used: random walks from `init`; states from the solver's models, from which one round is run
+in every order; and variations of known states, which differ in a few variables. The same program and seed give the
+same states; the budget decides how many of them.
 """
 
 from __future__ import annotations
@@ -45,24 +45,24 @@ from koordgen.verify.attack.states import States
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-SECONDS = 0.05  # of an attack, where nothing else is asked for
-FLEETS = (1, 2, 3, 4)  # robots
-STARTS = 2  # initial states of each number of robots, at first
-TRIES = 12  # of drawing an initial state
-ROUNDS = 6  # of one random walk
-ORDERS = 150  # steps in one round from one pre-state, at most
-VARIED_ORDERS = 8  # the same, from a state beside a known one
-MODEL_RUNS = 60  # steps that one pre-state is expected to bring to its event, until the solver is asked for another
-SKIPS = 0.15  # of the turns of robots in a random walk
-STALE = 400  # pieces of work without a new state, after which the attack ends
-FIRST = 0.4  # of the budget, until the solver is asked
+SECONDS = 0.05  # default budget of an attack
+FLEETS = (1, 2, 3, 4)  # numbers of robots
+STARTS = 2  # initial states of each number of robots that come first
+TRIES = 12  # attempts to draw one initial state
+ROUNDS = 6  # length of one random walk
+ORDERS = 150  # most steps in one round from one pre-state
+VARIED_ORDERS = 8  # most steps in one round from a variation of a known state
+MODEL_RUNS = 60  # expected runs of an event from one pre-state, before the solver is asked for another
+SKIPS = 0.15  # probability that a robot skips its turn in a random walk
+STALE = 400  # units of work without a new state that end the attack
+FIRST = 0.4  # part of the budget before the solver is asked
 
 Clock = Callable[[], float]
 
 
 class Report(NamedTuple):
-    """Result of an attack. `states`: the number of states that each invariant was judged in, by step (an event's name,
-    "init", "(environment)") and invariant. `reasons`: why it was judged in none, by the same."""
+    """Result of an attack. `states`: number of states in which each invariant was judged, by step (an event's name,
+    "init", "(environment)") and invariant. `reasons`: why there were none, with the same keys."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -70,7 +70,7 @@ class Report(NamedTuple):
     seconds: float
 
     def of(self, step: str, invariant: str) -> tuple[int, str]:
-        """Return the number of states that an obligation was attacked with, and the reason where it is 0."""
+        """Return the number of states with which an obligation was attacked, and the reason if it is 0."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -91,8 +91,8 @@ class Found(Exception):
 
 
 class Place(NamedTuple):
-    """Position within a run: its first state, the state at the round's start, the state now, the robots that had their
-    turn in this round, all steps until now."""
+    """Position within a run: its first state, the state at the round's start, the present state, the robots that had
+    their turn in this round, all steps so far."""
 
     first: State
     start: State
@@ -101,7 +101,7 @@ class Place(NamedTuple):
     acts: tuple[Act, ...]
 
     def then(self, act: Act, now: State) -> Place:
-        """Return the place after a step. The environment's step and `init` begin the next round."""
+        """Return the position after a step. The environment's step and `init` begin the next round."""
         acts = (*self.acts, act)
         if act.pid is None:
             return Place(self.first, now, now, frozenset(), acts)
@@ -109,7 +109,7 @@ class Place(NamedTuple):
 
 
 def beginning(state: State) -> Place:
-    """Return the place of a state before `init` or at a round's start."""
+    """Return the position of a state before `init` or at a round's start."""
     return Place(state, state, state, frozenset(), ())
 
 
@@ -118,9 +118,9 @@ def attack(
     params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
 ) -> Report:  # fmt: skip
-    """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
-    those of computing, the solver's included; with another clock, that counts work, waiting for the solver takes none.
-    `params` are fixed, all others may have any value; `solver` tells pre-states, where there is one."""
+    """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`. The default
+    clock is CPU time, to which the time of the solver is added; with another clock, which counts work, waiting for the
+    solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides pre-states."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
@@ -138,8 +138,8 @@ def _none(why: str) -> Report:
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """Return the program made exact, and whether some first values are GridMaps. Those are computed as robots do, with
-    the params that the program has, because a GridMap has no exact form."""
+    """Return the program made exact, and whether some initial values are GridMaps. Those are computed as robots do,
+    with the params of the program, because a GridMap has no exact form."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
@@ -179,16 +179,16 @@ class _Search:
         self.fleets = FLEETS if robots is None else (robots,)
         self.params, self.solver, self.until = params, solver, until
         self.computing, self.timed = clock, clock is time.process_time
-        self.waited = 0.0  # seconds for the solver
-        self.ready: list[Place] = []  # after `init`
-        self.known: list[State] = []  # at a round's start
+        self.waited = 0.0  # seconds spent waiting for the solver
+        self.ready: list[Place] = []  # positions after `init`
+        self.known: list[State] = []  # states at a round's start
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
-        self.runs: dict[str, int] = {}  # of each event
-        self.tried: dict[str, int] = {}  # of each step: the runs that models were expected to bring
+        self.runs: dict[str, int] = {}  # event -> number of its runs
+        self.tried: dict[str, int] = {}  # step -> number of runs that models were expected to bring
         self.spent = False
         self.units = 0
-        self.news = 0, 0  # the judged states, and at which unit the last new one was
+        self.news = 0, 0  # number of judged states, and the unit of work of the last new one
 
     def clock(self) -> float:
         return self.computing() + self.waited
@@ -210,18 +210,18 @@ class _Search:
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """Run a contradiction again from its beginning, by another judge. Raises InternalError where it is none."""
-        why = "it is none the second time"
+        """Run a contradiction again from its beginning, by another judge. Raises InternalError if it does not recur."""
+        why = "the second run shows no contradiction"
         try:
             again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
             if again is not None:
                 return again
         except (Refused, Unusable) as error:
             why = str(error)
-        raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
+        raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
 
     def alternate(self) -> None:
-        """Run all sources, each for the same time, until the budget is used up."""
+        """Run all sources for the same time each, until the budget is used up."""
         sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
@@ -236,7 +236,7 @@ class _Search:
             self.unit()
 
     def unit(self) -> None:
-        """Count one piece of work. Raises Spent when the budget is used up, or the last STALE pieces found no state."""
+        """Count one unit of work. Raises Spent if the budget is used up, or the last STALE units found no new state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
@@ -247,8 +247,8 @@ class _Search:
     # Initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment; then
-        some rounds."""
+        """Run initial states of each number of robots: `init`, one event of each robot, one step of the environment;
+        then some rounds."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 place = self.launch(robots)
@@ -257,8 +257,8 @@ class _Search:
                     yield from self.walk(place)
 
     def launch(self, robots: int) -> Place | None:
-        """Return a place after every robot's init; None where no initial state was found."""
-        why = "no state was found that satisfies what holds `initially`"
+        """Return a position after every robot's init; None if no initial state was found."""
+        why = "no state was found that satisfies `initially`"
         for _ in range(TRIES):
             self.unit()
             attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
@@ -278,7 +278,7 @@ class _Search:
         return None
 
     def once(self, place: Place) -> Iterator[None]:
-        """Every event that one robot alone may run in a state, each followed by the environment's step."""
+        """Run every event that one robot alone may run in a state, each followed by the environment's step."""
         self.settle(place)
         for step in self.steps(place):
             yield
@@ -287,7 +287,7 @@ class _Search:
     # Walks
 
     def walks(self) -> Iterator[None]:
-        """Random walks, out of initial states, new ones among them."""
+        """Random walks from initial states, known and new ones."""
         for robots in cycle(self.fleets):
             place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
             yield
@@ -309,7 +309,7 @@ class _Search:
             self.known.append(place.now)
 
     def turn(self, place: Place, pid: int) -> Place:
-        """Run one event of a robot, one that was run seldom; return the same place where the robot has none."""
+        """Run one of a robot's least run events. Return the same position if it has none."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -317,10 +317,10 @@ class _Search:
                 return step
         return place
 
-    # States beside known ones
+    # Variations of known states
 
     def varied(self) -> Iterator[None]:
-        """Rounds from states that differ from known ones, and in which the PROVED invariants hold."""
+        """Rounds from states that differ from known ones and satisfy the PROVED invariants."""
         while self.known and self.states.variables:
             state = self.states.varied(self.random.choice(self.known))
             self.unit()
@@ -330,7 +330,7 @@ class _Search:
     # Models
 
     def modelled(self) -> Iterator[None]:
-        """Rounds from states of the solver's models, of each event in turn."""
+        """Rounds from states of the solver's models, for each event in turn."""
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -353,8 +353,8 @@ class _Search:
                 yield
 
     def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
-        """One round from a state in which the PROVED invariants hold, in every order, and the environment's step after
-        each: at most so many steps."""
+        """Run one round in every order, with the environment's step after each event, from a state that satisfies the
+        PROVED invariants; at most `most` steps."""
         try:
             if self.judge.relied_upon(state) or not self.fresh(state):
                 return
@@ -376,7 +376,7 @@ class _Search:
     # Steps
 
     def steps(self, place: Place) -> Iterator[Place]:
-        """Every event of every robot that had no turn yet."""
+        """Run every event of every robot that had no turn yet."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
                 for event in self.options(place, pid):
@@ -396,7 +396,7 @@ class _Search:
         return ready.events
 
     def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
-        """Return the place after a robot's event; None where the event has no result. Raises Spent, Found."""
+        """Return the position after a robot's event; None if the event has no result. Raises Spent, Found."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
@@ -409,8 +409,8 @@ class _Search:
         return self.check(place, act, after, breach)
 
     def settle(self, place: Place) -> Place | None:
-        """Return the beginning of the next round, after the environment's step; None where no move was drawn that the
-        assumptions allow."""
+        """Return the beginning of the next round, after the environment's step; None if the assumptions allow none of
+        the moves that were drawn."""
         self.unit()
         if not self.states.sensors:
             sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
@@ -431,14 +431,14 @@ class _Search:
         return self.check(place, act, after, breach)
 
     def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
-        """Return the place after a step. Raises Found where the step contradicts a verdict."""
+        """Return the position after a step. Raises Found if the step contradicts a verdict."""
         step = place.then(act, after)
         if breach is not None:
             raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
         return step
 
     def fresh(self, state: State) -> bool:
-        """Return whether a state was not attacked before."""
+        """Return whether a state is attacked for the first time."""
         key = key_of(state)
         if key in self.seen:
             return False

@@ -1,8 +1,8 @@
-"""File of a contradiction (`koord-unsound/1`): a trial as JSON, and back, with every byte of it checked.
+"""File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON. Everything in a file is checked.
 
 Exact numbers are texts ("1/3", "sqrt(2)"). A file may come from anywhere: it may be of another program, cut short or
-hostile. So the program's hash must agree, every name must be the program's, every value must have its variable's type,
-and sizes are limited. What the steps do is never read from the file: the semantics runs them again.
+hostile. So the program's hash must agree, every name must be in the program, every value must have its variable's
+type, and sizes are limited. Effects of steps are never read from the file: the semantics runs the steps again.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
 MOST_ROBOTS = 4
 MOST_ACTS = 64
-DIGITS = 1000  # of a number
+DIGITS = 1000  # most digits of a number
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
-_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; have it write the file anew"
+_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run it to write the file again"
 
 
 class BadFile(Exception):
-    """The file cannot be run: the message says why, `help` what can be done."""
+    """The file cannot be used; the message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = _ANEW) -> None:
         super().__init__(message)
@@ -63,7 +63,7 @@ class BadFile(Exception):
 
 
 class Given(NamedTuple):
-    """Content of a file: the invariants that were PROVED, the trial, the invariant that it contradicts."""
+    """Content of a file: the invariants that were PROVED, the trial, and the invariant that it contradicts."""
 
     proved: tuple[str, ...]
     trial: Trial
@@ -74,7 +74,7 @@ class Given(NamedTuple):
 
 
 def written(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
-    """A contradiction as the text of a file."""
+    """Return a contradiction as the text of a file."""
     state = found.trial.state
     document = {
         "format": FORMAT,
@@ -112,7 +112,7 @@ def _values(values: Mapping[str, Value]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """A value as the file has it."""
+    """Return a value as JSON."""
     match value:
         case bool() | int() | str():
             return value
@@ -140,7 +140,7 @@ def plain(value: Any) -> Any:
 def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
     """Return the content of a file about a program, made exact. Raises BadFile."""
     if len(data) > MOST_BYTES:
-        raise BadFile(f"it has {len(data)} bytes, and at most {MOST_BYTES} are read")
+        raise BadFile(f"it has {len(data)} bytes; the limit is {MOST_BYTES}")
     try:
         document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
     except RecursionError:
@@ -179,7 +179,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class _Reader:
-    """The parts of a file, each checked against the program."""
+    """Parser of the parts of a file, which checks each against the program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -193,7 +193,7 @@ class _Reader:
             self.called.update({f"{n.module}.{n.port}": n for n in walk(function.block) if isinstance(n, PortCall)})
 
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
-        """An object with exactly these keys."""
+        """Return an object that has exactly these keys."""
         if not isinstance(data, dict):
             raise BadFile(f"{what} is no object")
         wanted = set(keys)
@@ -208,14 +208,14 @@ class _Reader:
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Names of invariants, and of those at loops."""
+        """Return names of invariants, including loop invariants."""
         known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 
     def name(self, data: Any, what: str, known: Iterable[str]) -> str:
         if not isinstance(data, str) or data not in known:
             raise BadFile(f"{what}: {_short(data)} is no name that can stand there")
-        return data
+            raise BadFile(f"{what}: {_short(data)} is none of the possible names")
 
     def whole(self, data: Any, what: str, most: int) -> int:
         if type(data) is not int or not 0 <= data <= most:
@@ -257,7 +257,7 @@ class _Reader:
             return Act(event, None, tuple([self.values(new, "sensors", self.sensors) for new in moved]))
         table = self.table(data, "a step", ("event", "robot", "answers"))
         if event == INIT and table["robot"] is not None:
-            raise BadFile("`init` is every robot's: its `robot` is null")
+            raise BadFile("`init` belongs to every robot: its `robot` must be null")
         pid = None if event == INIT else self.whole(table["robot"], "a step's robot", robots - 1)
         answers = self.items(table["answers"], "answers", 0, 1000)
         return Act(event, pid, (), tuple([self.answer(one, robots) for one in answers]))
@@ -286,7 +286,7 @@ class _Reader:
 
 
 def _value(data: Any, type_: Type) -> Any:
-    """The value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
+    """Return the value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return tuple([_value(part, element) for part in _list(data)])
@@ -341,7 +341,7 @@ def _whole(data: Any) -> int:
 
 
 def _number(data: Any) -> Any:
-    """An exact number of its text."""
+    """Return the exact number that a text denotes."""
     if not isinstance(data, str) or len(data) > 2 * DIGITS + 20:
         raise TypeError
     if data in ("inf", "-inf", "nan"):
@@ -359,5 +359,5 @@ def _float(data: Any) -> float:
 
 def _short(data: Any) -> str:
     """Return data of the file for a message, cut short."""
-    text = json.dumps(data)  # control characters and what is no Unicode are escaped
+    text = json.dumps(data)  # escapes control characters and lone surrogates
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,8 +1,8 @@
-"""Judge of verdicts: runs steps by the executable semantics, and says which PROVED invariant a state contradicts.
+"""Judge of verdicts: runs steps by the executable semantics, and finds PROVED invariants that a state contradicts.
 
-What the language allows is asked of `koordgen.lang.semantics` alone: which events may run (`choices`), what they write,
-how sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
-contradiction; it is not counted as a state that the invariant was attacked with.
+`koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, how
+sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
+contradiction, and does not count as a state with which the invariant was attacked.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
-PROVED_RIGHT = "proved to have a value, but: "  # the compiler's own claim, in the semantics' words
-# The operations of which `(well-defined)` says that they have a value, in the semantics' words. Capacities, 64 bits,
-# turns of loops, `ensures` and ports discard an event as well, and are not promised.
+PROVED_RIGHT = "proved to have a value, but: "  # prefix of a fault of an operation that the checker proved right
+# Faults of operations for which `(well-defined)` promises a value, as the semantics words them. Capacities, 64 bits,
+# turns of loops, `ensures` and ports discard events as well, but are not promised.
 COVERED = (
     "index ", "a slice from", "what is looked for is not there", "the map has no such key",
     "math domain error", "an int to the power of a negative one",
@@ -57,22 +57,22 @@ class Act(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A state at a round's start, or before `init`, and the steps that are run on it: in a round each robot runs one
-    event at most, and the environment's step ends the round."""
+    """A state at a round's start, or before `init`, and the steps to run on it. In a round each robot runs at most one
+    event, and the environment's step ends the round."""
 
     state: State
     acts: tuple[Act, ...]
 
 
 class Breach(NamedTuple):
-    """The invariant that is contradicted, and how."""
+    """Contradiction of one invariant, with its reason."""
 
     invariant: str
     why: str
 
 
 class Contradiction(NamedTuple):
-    """A trial whose last step contradicts a PROVED invariant; the states around that step."""
+    """A trial whose last step contradicts a PROVED invariant, and the states around that step."""
 
     trial: Trial
     breach: Breach
@@ -81,31 +81,31 @@ class Contradiction(NamedTuple):
 
 
 class Ready(NamedTuple):
-    """The events that a robot may run; the step of one whose guard has no value where one is promised."""
+    """Events that a robot may run. `fault`: the step of one whose guard lacks a value that is promised."""
 
     events: list[decl.Event]
     fault: tuple[Act, Breach] | None
 
 
 class Followed(NamedTuple):
-    """The states of a trial, before its first step and after each; the contradiction of its last step, if it is one."""
+    """Replayed trial: its states before the first step and after each; the contradiction in the last step, if any."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
 
 
 class Unusable(Exception):
-    """A step shows nothing: the message says why."""
+    """A step shows nothing; the message gives the reason."""
 
 
 class Refused(Exception):
-    """A trial is none that the verdicts speak of: the message says why."""
+    """The verdicts do not cover this trial; the message gives the reason."""
 
 
 class Judge:
-    """Judge of one program, made exact. `proved`: the names of the invariants that are PROVED. `draw` proposes answers
-    of callable ports. `counts` has the number of states that each invariant was judged in, by step and invariant;
-    `reasons` says why it could not be judged."""
+    """Judge of one program, made exact. `proved`: names of the PROVED invariants. `draw` proposes answers of callable
+    ports. `counts`: number of states in which each invariant was judged, by step and invariant; `reasons`: why it could
+    not be judged."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -114,7 +114,7 @@ class Judge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
-        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # of each step: loop invariants, after whose they are
+        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # step -> owner and name of its loop invariants
         for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
             self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
@@ -125,9 +125,9 @@ class Judge:
         self.ports = Ports(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
-        self.known: set[tuple[object, ...]] = set()  # the states after steps, and before events, that were judged
+        self.known: set[tuple[object, ...]] = set()  # states after steps, and before events, that were judged
 
-    # What is promised of a state
+    # Claims about a state
 
     def judged(self, state: State, event: str) -> Breach | None:
         """Return the first PROVED invariant that is contradicted after `event`. Each state is judged once after each
@@ -163,12 +163,12 @@ class Judge:
         return len(self.known) > before
 
     def is_start(self, state: State) -> bool:
-        """Return whether a state is one in which a mission may begin. Raises Unusable where that is not known."""
+        """Return whether a mission may begin in a state. Raises Unusable if that is unknown."""
         return all(self._true(property_, state) for property_ in self.initially)
 
     def relied_upon(self, state: State) -> str:
-        """Return the name of a hypothesis that a state does not satisfy; empty where it satisfies all. Hypotheses are
-        the PROVED invariants, and what `initially` says of params, which holds for good. Raises Unusable."""
+        """Return the name of a hypothesis that a state violates; empty if it satisfies all. Hypotheses are the PROVED
+        invariants, and formulas of `initially` about params, which hold for good. Raises Unusable."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"what `initially` says of params in line {part.span.line}"
@@ -189,8 +189,8 @@ class Judge:
     # Steps
 
     def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
-        """Run every robot's init. A robot whose `init` is discarded rests, and its mission does not begin: nothing is
-        promised then but that `(well-defined)` excludes it. Raises Unusable."""
+        """Run every robot's init. If an `init` is discarded, its robot stops and the mission does not begin. Then only
+        `(well-defined)` makes a promise, which excludes that. Raises Unusable."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -227,7 +227,7 @@ class Judge:
             raise Unusable(f"the guards cannot be evaluated: {error}") from None
 
     def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
-        """Return the step of an event whose guard has no value, where one is promised."""
+        """Return the step of an event whose guard lacks a value that is promised."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
                 continue
@@ -241,7 +241,7 @@ class Judge:
         return None
 
     def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
-        """Return whether a robot may run an event if its guard holds: none that goes before it keeps it from that."""
+        """Return whether a robot may run an event if its guard holds: no event before it prevents that."""
         events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
@@ -249,8 +249,8 @@ class Judge:
     def event(
         self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[Answer] | None = None
     ) -> tuple[State, Act, Breach | None] | None:
-        """Run an event of robot `pid` that `ready` found; None where it is discarded. Raises Unusable."""
-        self.ports.begin(now, given)  # since `ready`, other states may have been looked at
+        """Run an event of robot `pid` that `ready` found; None if it is discarded. Raises Unusable."""
+        self.ports.begin(now, given)  # other states may have been used since `ready`
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -263,7 +263,7 @@ class Judge:
         if not isinstance(outcome, Writes):
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
-                given_up = outcome.reason == UNFINISHED  # by the attack's own limit, long before a robot's
+                given_up = outcome.reason == UNFINISHED  # by the attack's limit, which is far below a robot's
                 why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
                 self.reasons.setdefault((name, ""), f"each run of it was {why}")
             return (now, self._act(name, pid), breach) if breach else None
@@ -274,7 +274,7 @@ class Judge:
         return after, self._act(name, pid), broken or self.judged(after, name)
 
     def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
-        """Return a PROVED loop invariant that did not hold when a step came to it."""
+        """Return a PROVED loop invariant that was false when a step reached its head."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
@@ -284,7 +284,7 @@ class Judge:
         return None
 
     def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
-        """Run the environment's step where the assumptions allow it. Raises Unusable."""
+        """Run the environment's step if the assumptions allow it. Raises Unusable."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
                 raise Unusable("the assumptions do not allow it")
@@ -310,7 +310,7 @@ class Judge:
         return Unusable(why)
 
     def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
-        """Return a breach of `(well-defined)` where it promises that the operation has a value."""
+        """Return a breach of `(well-defined)`, if it promises that the operation has a value."""
         where = "init" if event == INIT else f"event {event}"
         _, claimed, within = told.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
@@ -322,15 +322,15 @@ class Judge:
     # A whole trial
 
     def follow(self, trial: Trial) -> Followed:
-        """Run a trial from its beginning, believing nothing of it. Raises Refused, Unusable."""
+        """Run a trial from its beginning, and check all of it. Raises Refused, Unusable."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
-                raise Refused("what the program says in `initially` does not hold in its state")
+                raise Refused("its first state violates a formula of `initially`")
         elif broken := self.relied_upon(state):
-            raise Refused(f"{broken} does not hold in its state, before any step")
+            raise Refused(f"its first state violates {broken}")
         states, start = [state], state
-        turns: set[int] = set()  # the robots that had theirs in this round
+        turns: set[int] = set()  # robots that had their turn in this round
         breach: Breach | None = None
         for act in acts:
             if breach is not None:
@@ -345,7 +345,7 @@ class Judge:
     def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
         """Run one step of a trial, in a round that began with `start`."""
         if (act.event == INIT) != (now.round == 0):
-            raise Refused("`init` comes first, and once")
+            raise Refused("`init` must be the first step, and occur once")
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach
@@ -362,7 +362,7 @@ class Judge:
                 return step[0], step[2]
         if ready.fault is not None and ready.fault[0].event == act.event:
             return now, ready.fault[1]
-        raise Refused(f"robot {act.pid} may not run {act.event} there")
+        raise Refused(f"robot {act.pid} may not run {act.event} at its step")
 
 
 def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
@@ -374,13 +374,13 @@ def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _of_fleet(formula: ir.Expr) -> bool:
-    """Return whether a formula speaks of anything but params."""
+    """Return whether a formula mentions anything but params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                for n in walk(formula))  # fmt: skip
 
 
 def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[str, str]]:
-    """The loop invariants of a block and of the functions that it calls: whose block each is in, its name."""
+    """Yield owner and name of the loop invariants of a block, and of the functions that it calls."""
     functions = {function.name: function for function in program.functions}
     called: dict[str, Part] = {owner: block}
     for _ in functions:
@@ -391,15 +391,15 @@ def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[
 
 
 def names_of(program: decl.Program) -> list[str]:
-    """Return the names that verdicts of a program have."""
+    """Return the names of a program's verdicts."""
     blocks = (program.init, program.events, program.functions)
     loops = [f"line {n.span.line}" for n in walk(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
 def _is_fallible(part: Part, functions: Collection[str]) -> bool:
-    """Return whether an operation that `(well-defined)` promises stands in a part of a program, or in one of the
-    functions that it calls."""
+    """Return whether a part of a program, or a function that it calls, contains an operation for which
+    `(well-defined)` promises a value."""
     for node in walk(part):
         match node:
             case ir.SlotRead(_, index):
@@ -418,17 +418,17 @@ def _is_fallible(part: Part, functions: Collection[str]) -> bool:
 
 
 def is_covered(reason: str) -> bool:
-    """Return whether an operation without a value is one of those that `(well-defined)` promises."""
+    """Return whether a fault is one that `(well-defined)` excludes."""
     return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
 
 
 def _seen(event: decl.Event, start: State, now: State) -> State:
-    """The state that an event reads: a plain one the store of the round's start."""
+    """Return the state that an event reads: a plain event reads the store of the round's start."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 
 def key_of(state: State) -> tuple[object, ...]:
-    """Return a key that differs for different states, rounds aside."""
+    """Return a key that differs for different states, without the number of the round."""
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)

@@ -1,7 +1,7 @@
-"""Pre-states from the solver: states in which the PROVED invariants hold and a guard does, each unlike the last.
+"""Pre-states from the solver: different states in which the PROVED invariants and a guard hold.
 
-Only what is assumed before a step is encoded, nothing of what the step does: a mistake there must not exclude the very
-state that would show it. A model is not believed either: the judge checks each state before it is attacked.
+Only the assumptions before a step are encoded, never the step itself: a mistake in its encoding must not exclude the
+state that would reveal it. Models are not trusted either: the judge checks each state before it is attacked.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
 from koordgen.verify.prove.smt.term import Term
 
-QUERY = 2.0  # seconds of one query, at most
-NUDGES = 3  # parts of a state that are asked to be something else, at most
+QUERY = 2.0  # most seconds of one query
+NUDGES = 3  # most parts of a state that the next model must change
 NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
@@ -41,14 +41,14 @@ class Models:
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        self.asked: dict[tuple[str, int], _Asked | None] = {}  # None: too large to be written down
+        self.asked: dict[tuple[str, int], _Asked | None] = {}  # None: too large to encode
         self.why = ""
-        self.waited = 0.0  # seconds for the solver
+        self.waited = 0.0  # seconds spent waiting for the solver
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
-        """A state of so many robots in which the guard of `event` holds for one of them, found within `most` seconds;
-        None where there is none that can be read, and `why` says the reason."""
+        """Return a state of `robots` robots in which the guard of `event` holds for one of them, found within `most`
+        seconds. None if there is none that can be read; then `why` gives the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             t.count_anew()
@@ -56,7 +56,7 @@ class Models:
                 self.asked[key] = _Asked(self._hypotheses(event, robots))
             except t.EncodingTooLarge as error:
                 self.asked[key] = None
-                self.why = f"what is assumed of a state cannot be written down: {error}"
+                self.why = f"the assumptions before the step cannot be encoded: {error}"
         asked = self.asked[key]
         if asked is None:
             return None
@@ -71,7 +71,7 @@ class Models:
         if asked.useless:
             return None
         facts = tuple(
-            [LabelledFormula("a state unlike the last", term, "", 0) for term in (*asked.reader.short(), *more)]
+            [LabelledFormula("different from the last state", term, "", 0) for term in (*asked.reader.short(), *more)]
         )
         query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
         try:
@@ -103,7 +103,7 @@ class Models:
         return wanted if self.random.random() < 0.7 else t.not_(wanted)
 
     def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
-        """Encode what is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
+        """Encode the assumptions before a step: the invariants, and the guard of the acting robot."""
         part_encoder = PartEncoder(ProofProblem(self.program, robots, self.params, "usual"))
         context, problem = part_encoder.context, part_encoder.problem
         now = ArbitraryState(context, problem.types)
@@ -126,7 +126,7 @@ class Models:
 
 
 class _Acting(FleetScope):
-    """Scope of a guard: the variables of one robot at a round's start. Callable ports answer anything."""
+    """Scope of a guard: the variables of one robot at a round's start. Callable ports have arbitrary answers."""
 
     def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
@@ -143,7 +143,7 @@ class _Acting(FleetScope):
 
 
 def _is_readable(type_: Type) -> bool:
-    """Return whether a model tells which value of a type it is; other variables keep their first values."""
+    """Return whether a model determines values of a type. Variables of other types keep their initial values."""
     match type_:
         case RecordType(_, fields):
             return all(_is_readable(field) for _, field in fields)
@@ -158,7 +158,7 @@ def _is_readable(type_: Type) -> bool:
 
 
 class _Asked:
-    """Hypotheses, and how their models are read."""
+    """Encoded hypotheses, and the reader of their models."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.obligation = obligation

@@ -1,5 +1,6 @@
-"""Which assumption of a proof broke before an invariant did. No solver is asked: an invariant's obligations tell what a
-proof of it would take for granted."""
+"""Blame: assumptions of a proof that broke no later than the invariant.
+
+No solver is asked: the obligations of an invariant contain the assumptions that a proof of it would use."""
 
 from __future__ import annotations
 
@@ -16,8 +17,9 @@ _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "co
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """Of an invariant that was violated: what its proof rests on; of that what broke at or before then, the first to
-    break first; and what was not seen throughout, so that it may have broken."""
+    """Assumptions behind a violated invariant. `rests`: all assumptions of its proof. `broke`: those that broke no
+    later than the invariant, the earliest first. `unseen`: those that were not observed throughout, so may have
+    broken."""
 
     invariant: Finding
     rests: tuple[LedgerEntry, ...]
@@ -26,7 +28,7 @@ class Blame:
 
 
 def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
-    """One for each invariant that was violated, or had no value."""
+    """Return the blame of each invariant that was violated or had no value."""
     violated = [f for f in findings if f.of == "invariant" and f.first is not None]
     if not violated:
         return []
@@ -35,7 +37,7 @@ def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
     found, ledger = [], Ledger(program)
     for invariant in violated:
         names = [invariant.name]
-        for name in names:  # and the invariants that its obligations use, and theirs
+        for name in names:  # grows by the invariants that the obligations use, and by theirs
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
         rests = ledger.of([o for o in shown if o.invariant in names])

@@ -1,4 +1,4 @@
-"""Contracts of extern functions, other reasons to discard an event, and loop invariants, as robots told of them."""
+"""Contracts of extern functions, other causes of discarded events, and loop invariants, from robots' records."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from koordgen.verify.audit.story import Mission, Story
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/program/extern.py words it
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # the format of runtime/program/extern.py
 
 
 def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
-    """A finding for each line of a contract, and last one that every program has: that no event is discarded for a
-    reason of the program's. Robots do not tell each call: what is counted are events."""
+    """Return a result for each line of a contract, and a last one of every program: no event is discarded for a cause
+    in the program. Robots do not record single calls, so events are counted."""
     found = {
         formula.span.line: Finding("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
@@ -49,7 +49,7 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
 
 
 def loops(program: decl.Program, mission: Mission) -> list[Finding]:
-    """A finding for each loop invariant: what is counted are events (and each `init`), with its loop or without."""
+    """Return a result for each loop invariant. Events and `init`s are counted, whether they contain the loop or not."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
@@ -86,13 +86,13 @@ def _record(story: Story, round_: int) -> Mapping[str, Any]:
 
 
 def late(mission: Mission) -> int:
-    """How many events were discarded because they took too long, which says nothing of the program."""
+    """Return the number of events that were discarded because they took too long, which is no fault of the program."""
     faults = [line.record.get("fault") for story in mission.stories for line in story.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
 def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
-    """The line of the contract that was broken; 0 where an event was discarded for another reason, else -1."""
+    """Return the line of the broken contract; 0 if an event was discarded for another cause in the program, else -1."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
         return -1

@@ -1,4 +1,4 @@
-"""What an audit has found of one property."""
+"""Result of an audit about one property: observations, violations and unknown rounds."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
 class Moment(NamedTuple):
-    """Right after a round's events, or its end; round 0 is `init`. They are ordered."""
+    """Time of an observation: right after a round's events, or at its end; round 0 is `init`. Times are ordered."""
 
     round: int
     end: bool
 
     def seconds(self, delta: float) -> float:
-        """Of fleet time since round 1 began; `init` counts as then."""
+        """Return the fleet time in seconds since round 1 began; 0 for `init`."""
         return max(0.0, (self.round - 1 + self.end) * delta)
 
 
 class Row(NamedTuple):
-    """A variable of a robot (empty: nobody's), at the moment before and at the one told of."""
+    """Value of a variable at the previous and at this observation. `robot` is empty for an allwrite variable."""
 
     robot: str
     variable: str
@@ -35,8 +35,8 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """`robots` are those that it was false for, `bound` and `read` what was looked at then, `why` the reason where it
-    had no value. `where`: which of a round's moments, in words."""
+    """First violation of a property. `robots`: those for which it was false; `bound` and `read`: the values that its
+    formula used; `why`: the reason if it had no value. `where`: the time within the round, in words."""
 
     moment: Moment
     where: str
@@ -48,7 +48,7 @@ class Violation:
 
 
 class Span(NamedTuple):
-    """Rounds `since` to `until`, both included, with one outcome."""
+    """Rounds from `since` to `until`, both included, with one outcome."""
 
     since: int
     until: int
@@ -57,9 +57,10 @@ class Span(NamedTuple):
 
 @dataclass
 class Finding:
-    """`rounds` at which it was told, `unknown` at which not; of an assumption those of all robots together. `missing`:
-    what was not known, and why, with the number of rounds. `unchecked`: why it cannot be told at all. `unseen`: a robot
-    may have broken this assumption, because it was in the model and its ports are unknown."""
+    """Result of one property. `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not;
+    for an assumption, summed over all robots. `missing`: unknown values with their cause, and the number of rounds.
+    `unchecked`: the reason why it can never be evaluated. `unseen`: a robot may have broken this assumption, because it
+    was in the model while its ports were unknown."""
 
     of: Of
     name: str
@@ -86,7 +87,7 @@ class Finding:
         return "held" if self.rounds and not self.unseen else "unknown"
 
     def miss(self, first: int, of_each: int) -> None:
-        """Count rounds before `first`, which no trace records; `of_each`: number of windows that judge a round."""
+        """Count rounds before `first`, which no trace records; `of_each`: number of evaluations in each round."""
         if self.unchecked:
             return
         self.unknown += first * of_each
@@ -95,11 +96,11 @@ class Finding:
         self.spans.append(Span(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
-        """The outcome of a round; unknown where it was not looked at."""
+        """Return the outcome of a round; unknown if it was not evaluated."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
     def close(self, round_: int, told: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
-        """A round is over; `told` are its moments, or its robots, with what was not known."""
+        """Add the outcomes of one round, by observation or by robot, with the unknown values."""
         if not told:
             return
         worst = min(told, key=lambda each: WORST.index(each[0]))

@@ -1,4 +1,4 @@
-"""A program's properties over the whole fleet, after every round."""
+"""Judge: evaluates a program's properties over the whole fleet, after every round."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from koordgen.verify.audit.meaning import Meaning
 from koordgen.verify.audit.story import Mission
 from koordgen.verify.audit.whole import Whole
 
-MOST_READ = 8
-MOST_ROBOTS = 6  # in a table
+MOST_READ = 8  # most values that a violation shows
+MOST_ROBOTS = 6  # most robots in a table
 _ANY = "the run followed a counterexample, which begins in any state in which the invariants hold"
-Progress = Callable[[int, int], None]  # the round, of how many
+Progress = Callable[[int, int], None]  # receives the round and the number of rounds
 
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a formula came to, and of what is not known whose it is: its name and robot (-1: nobody's)."""
+    """Outcome of one evaluation. `why`: the unknown value or the cause; `robot`: its owner, -1 if none."""
 
     outcome: Outcome
     why: str = ""
@@ -32,7 +32,7 @@ _UNTOLD = _Asked("unknown", "a call of a port")
 
 
 def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
-    """As `judged`, with whose value is not known."""
+    """Evaluate a property as `judged` does, and record the owner of an unknown value."""
     robot = -1
 
     def listening(known: Known) -> bool:
@@ -48,7 +48,7 @@ def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
 
 
 class Judge:
-    """`findings` are in the program's order: properties, then assumptions, then what nobody can evaluate."""
+    """Judge of one mission. `findings`: properties in the program's order, then assumptions, then unchecked ones."""
 
     def __init__(self, meaning: Meaning, mission: Mission) -> None:
         self._meaning, self._mission = meaning, mission
@@ -63,8 +63,8 @@ class Judge:
                 finding.unchecked = _ANY if finding.of == "initially" else finding.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
         self._whole = Whole(meaning, mission)
-        self._before: dict[str, Any] = {}  # of the moment before
-        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.findings]  # of this round
+        self._before: dict[str, Any] = {}  # values at the previous observation
+        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.findings]  # outcomes in this round
 
     def run(self, progress: Progress) -> list[Finding]:
         whole, first, last = self._whole, self._mission.first, self._mission.last
@@ -108,7 +108,7 @@ class Judge:
             self._note(finding, came, moment, partial(self._violation, property_, came, moment, where))
 
     def _steps(self, round_: int) -> None:
-        """Each robot's ports over this round, as far as both ends of it are known."""
+        """Evaluate the assumptions on each robot's ports over this round, if both ends of it are known."""
         moment = Moment(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
@@ -133,7 +133,8 @@ class Judge:
         return not (story.out_at(round_) or story.out_at(round_ + 1))
 
     def _missing(self, came: _Asked, moment: Moment) -> str:
-        """What is not known, and whose trace would tell: of an assumption an unprimed sensor by the round's start."""
+        """Describe the unknown value and the trace that lacks it. An assumption reads an unprimed sensor at the round's
+        start, a primed one at its end."""
         read = came.why.partition("[")[0]
         name = read.rstrip("'")
         later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)
@@ -156,7 +157,7 @@ class Judge:
         return Violation(moment, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
     def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[Row]:
-        """What the property reads: of these robots, and what is nobody's."""
+        """Yield the values that the property reads: those of these robots, and the allwrite variables."""
         before, after, text = self._before, self._whole.values, self._meaning.text
         slots = {name for name in reads if isinstance(after.get(name), list)}
         for pid in pids:

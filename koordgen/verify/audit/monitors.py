@@ -1,4 +1,4 @@
-"""What robots' own monitors said, beside what the whole fleet's traces show."""
+"""Comparison of robots' monitors with the audit of the whole fleet."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 from koordgen.verify.audit.finding import Finding
 from koordgen.verify.audit.story import FOREVER, Mission, Story
 
-SLACK = 2  # rounds by which a robot may say it later than it was
+SLACK = 2  # rounds by which a robot may report a violation late
 _BAD = ("violated", "no value")
 
 
 def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
-    """Notes of what robots said and the whole does not show, and of the reverse."""
+    """Return notes about violations that monitors reported and the audit does not show, and vice versa."""
     notes: list[str] = []
     for finding in findings:
         said = {story.pid: _said(finding, story) for story in mission.stories}
@@ -25,7 +25,7 @@ def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
 
 
 def _said(finding: Finding, story: Story) -> list[tuple[int, int, Mapping[str, Any]]]:
-    """From which round to before which a robot said what of a property."""
+    """Return a robot's reports about a property, each with its first round and the round in which it ends."""
     mine = [r for r in story.monitors if _of(r) == finding.of and _line(r) == finding.line]
     mine.sort(key=lambda r: int(r["round"]))
     ends = [*[int(r["round"]) for r in mine[1:]], FOREVER]
@@ -43,7 +43,7 @@ def _line(record: Mapping[str, Any]) -> int:
 
 
 def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:
-    """What this robot took for a violation, and was none."""
+    """Yield notes about reported violations where the property held."""
     for since, until, record in spans:
         if record.get("outcome") not in _BAD:
             continue
@@ -51,15 +51,15 @@ def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[s
         last = min(until, finding.spans[-1].until)
         if all(finding.at(round_) == "held" for round_ in range(first, max(first, last) + 1)):
             yield (
-                f"{story.name} said in round {since} that {finding.title} (line {finding.line}) is "
-                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; on the whole it held"
+                f"{story.name} reported in round {since} that {finding.title} (line {finding.line}) is "
+                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; over the whole fleet it held"
             )
 
 
 def _unsaid(
     finding: Finding, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: Mission
 ) -> Iterator[str]:
-    """A violation that no monitor noticed."""
+    """Yield a note about a violation that no monitor reported."""
     bad = next((span for span in finding.spans if span.outcome in _BAD), None)
     if bad is None:
         return
@@ -76,8 +76,8 @@ def _unsaid(
     for pid, record in here:
         if record.get("outcome") == "held":
             yield (
-                f"{mission.stories[pid].name} said that {finding.title} (line {finding.line}) held in {rounds}; "
-                "on the whole it was violated"
+                f"{mission.stories[pid].name} reported that {finding.title} (line {finding.line}) held in {rounds}; "
+                "over the whole fleet it was violated"
             )
             return
-    yield f"no monitor could tell that {finding.title} (line {finding.line}) was violated in {rounds}"
+    yield f"no monitor could evaluate that {finding.title} (line {finding.line}) was violated in {rounds}"

@@ -1,4 +1,4 @@
-"""A picture of an audit: each property over time, and where it was violated or not known."""
+"""Picture of an audit: each property over time, with violations and unknown rounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COLOURS: dict[Outcome, str] = {"held": "#2a7f3f", "violated": "#c0392b", "no val
 
 
 def draw(audit: Audit, path: Path) -> None:
-    """The file's ending says how. Raises OSError."""
+    """Write the picture; the file's suffix selects the format. Raises OSError."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

@@ -1,7 +1,7 @@
-"""Files of a fleet's traces, as much of them as can be read.
+"""Trace files of a fleet, of which as much as possible is read.
 
-A record that cannot be read is passed over, and stands in its place as one of kind LOST: from there on something about
-a robot is not known. Only a file that is no trace at all is refused.
+An unreadable record is replaced by a record of kind LOST: from there on the robot's state is partly unknown. Only a
+file that is no trace at all is an error.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint"
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """What is wrong at a line of a file; with `cut` the file ends there amid a record."""
+    """A mistake at a line of a file; if `cut`, the file ends there within a record."""
 
     number: int
     what: str
@@ -33,9 +33,9 @@ class Flaw:
 
 @dataclass
 class Log:
-    """One file. `names` are the robots that its header says, by pid; `own`: it is one robot's. Lines have pid -1 where
-    it is not known whose they are. `family`: the same for all files that one robot wrote beside one another; `age`
-    orders those, the oldest first."""
+    """One trace file. `names`: the robots in its header by pid; `own`: it belongs to one robot. Lines have pid -1 if
+    their robot is unknown. `family`: the same for all files that one robot wrote in one folder; `age` orders these, the
+    oldest first."""
 
     path: Path
     app: str
@@ -46,8 +46,8 @@ class Log:
     own: bool
     family: tuple[Path, int]
     age: float
-    last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
-    step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
+    last: dict[int, int] = field(default_factory=dict)  # pid -> round of its last record
+    step: bool = False  # the run executed a counterexample of one step, which begins in any state
     lines: list[Line] = field(default_factory=list)
     upgrade: Upgrade = field(default_factory=Upgrade)
     flaws: list[Flaw] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Log:
 
 
 def found(given: Path) -> list[Path]:
-    """The traces that a name stands for: a file with the parts before it, the merged trace in a run's folder, or else
+    """Return the traces that a name denotes: a file with its earlier parts, the merged trace in a run's folder, or else
     all traces below a folder. Raises BadTrace."""
     if not given.is_dir():
         return parts_of(given)
@@ -74,7 +74,7 @@ def found(given: Path) -> list[Path]:
 
 
 def _header(path: Path) -> Mapping[str, Any] | None:
-    """The header of a trace; None where there is none."""
+    """Return the header of a trace; None if there is none."""
     try:
         return header_of(path)
     except OSError as error:
@@ -82,7 +82,7 @@ def _header(path: Path) -> Mapping[str, Any] | None:
 
 
 def opened(path: Path) -> Log:
-    """All of a file. Raises BadTrace where it is none."""
+    """Read a whole file. Raises BadTrace if it is no trace."""
     header = _header(path)
     if header is None:
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -118,7 +118,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> Log:
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Each line with its number; of one that is too long only the beginning, without its end."""
+    """Yield each line with its number. A line that is too long is cut, without its end."""
     number = 0
     while data := file.readline(LONGEST):
         number += 1
@@ -135,9 +135,9 @@ def _take(log: Log, number: int, data: bytes) -> None:
         raise BadTrace(f"{log.path}:{number}: {error}") from None
     record = _parsed(data)
     if record is None:
-        again = data.rfind(HEADER)  # a robot that was killed amid a record, and began anew
+        again = data.rfind(HEADER)  # a robot was killed within a record, and restarted
         if again > 0 and _parsed(data[again:]) is not None:
-            _lose(log, number, pid, "is cut off where the robot began anew")
+            _lose(log, number, pid, "is cut off where the robot restarted")
             _take(log, number, data[again:])
         elif len(data) >= LONGEST:
             _lose(log, number, pid, f"is longer than {LONGEST >> 20} MB")

@@ -1,4 +1,4 @@
-"""What an audit has found, as people read it, at most 100 columns wide, and as data."""
+"""Result of an audit as text of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """`proved`: what `koordgen prove` says of each invariant, by its name; None where it was not asked.
-    `ended`: before the end of the mission, by a limit of time."""
+    """A finished audit. `proved`: the verdict of `koordgen prove` on each invariant, by its name; None if it was not
+    asked. `ended`: a limit of time ended the audit early."""
 
     program: str  # the program's file
     mission: Mission
@@ -37,7 +37,7 @@ class Audit:
 
     @property
     def doubtful(self) -> bool:
-        """Nothing of it may be said of the whole mission: something was never known, or traces are not whole."""
+        """Return whether the audit says nothing about the whole mission: something stayed unknown, or is missing."""
         return (
             self.ended
             or self.mission.cut
@@ -102,7 +102,7 @@ def _details(finding: Finding, audit: Audit) -> Iterator[str]:
 
 
 def when(violation: Violation, mission: Mission) -> str:
-    """A violation's time in words."""
+    """Return the time of a violation in words."""
     seconds = violation.moment.seconds(mission.delta)
     round_ = violation.moment.round
     if round_ == 0:
@@ -146,7 +146,7 @@ def _rows(violation: Violation) -> Iterator[str]:
 
 
 def sentence(blame: Blame, audit: Audit) -> str:
-    """What a proof of the invariant has to do with its violation."""
+    """Return a sentence that relates the proof of an invariant to its violation."""
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
     gone = _gone(blame, audit.mission)
@@ -154,23 +154,23 @@ def sentence(blame: Blame, audit: Audit) -> str:
         told = [_broke(finding, audit.mission) for _, finding in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
         return f"the proof of {name} {verb} on {'; and on '.join(told)}{gone}"
-    seen = f"no assumption that its proof rests on broke before{gone}"
+    seen = f"no assumption of its proof broke before{gone}"
     if blame.unseen:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
-        seen = f"no assumption that its proof rests on was seen to break before, but not all was seen: {texts}{gone}"
+        seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{gone}"
     bug = (
-        "this is a bug of koordgen, or robots did something that no proof speaks of (`koordgen replay` compares what "
+        "this is a bug of koordgen, or robots did something outside of the model (`koordgen replay` compares what "
         "they did with the program): please report it, with these traces"
     )
     if said is None:
-        return f"{seen}. Where `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
+        return f"{seen}. If `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
     if said != PROVED:
-        return f"`koordgen prove` says {said} of {name} with these params: no proof says that it holds"
+        return f"`koordgen prove` says {said} of {name} with these params, so no proof covers it"
     return f"{name} is PROVED, and {seen}: {bug}"
 
 
 def _gone(blame: Blame, mission: Mission) -> str:
-    """Who had left the model by then, or told nothing for a while: of what its body does a proof says nothing."""
+    """Name the robots that had left the model by then, or had gaps in their traces; no proof covers their bodies."""
     first = blame.invariant.first
     assert first is not None
     names = [
@@ -178,7 +178,7 @@ def _gone(blame: Blame, mission: Mission) -> str:
         for story in mission.stories
         if any(gap.since <= first.moment.round for gap in (*story.out, *story.away, *story.quiet))
     ]
-    return f"; by then {', '.join(names)} had been out of the model, of which no proof speaks" if names else ""
+    return f"; by then {', '.join(names)} had been outside of the model, which no proof covers" if names else ""
 
 
 def _broke(finding: Finding, mission: Mission) -> str:

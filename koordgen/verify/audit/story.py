@@ -1,4 +1,4 @@
-"""What each robot of a fleet told of one mission, round by round, and where nobody knows what it did."""
+"""History of each robot in one mission, round by round, with the gaps in which its state is unknown."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from koordgen.verify.audit.reading import LOST, Log
 from koordgen.verify.replay.trace import Line
 
 FOREVER = 1 << 60
-# As an agent says it when its rounds begin.
+# Format of an agent's phase record when its rounds begin.
 _MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
-    """Rounds `since` to before `until` of which a robot told nothing, and why."""
+    """Rounds from `since` to before `until` without a record of a robot, and the cause."""
 
     since: int
     until: int
@@ -32,7 +32,7 @@ def _why(gaps: Sequence[Gap], round_: int) -> str | None:
 
 @dataclass
 class Life:
-    """One start of a robot's process: what it told, in the order in which it did."""
+    """One start of a robot's process, with its records in their order."""
 
     log: Log
     pid: int
@@ -47,17 +47,17 @@ class Life:
 
     @property
     def tells(self) -> bool:
-        """Return whether the trace has a record of this round."""
+        """Return whether it has a record of any round."""
         return any(line.record["kind"] == "round" for line in self.lines)
 
 
 @dataclass
 class Story:
-    """One robot in the mission. `lives` is empty where there is no trace of it. `turns`: at the start of a round its
-    own variables become these (with `locals` and `actuators`), or nobody knows them (None). `acts`: rounds in which it
-    may have written what it told nobody. `out`: rounds in which it had come to rest; `away`: in which the others had
-    counted it out: in both it is out of the model. `lacks`: parts of its trace are missing; `since`: then the first
-    round that is known."""
+    """One robot in the mission. `lives`: empty if there is no trace of it. `turns`: at the start of a round its own
+    variables get these values (with `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may
+    have written values without a record. `out`: rounds in which it had stopped; `away`: in which the others had removed
+    it; in both it is outside of the model. `lacks`: parts of its trace are missing; then `since` is the first round
+    that is known."""
 
     pid: int
     name: str
@@ -70,37 +70,37 @@ class Story:
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
     away: list[Gap] = field(default_factory=list)
-    quiet: list[Gap] = field(default_factory=list)  # of which another life, or a broken line, is the reason
+    quiet: list[Gap] = field(default_factory=list)  # gaps that another life, or a broken line, causes
     monitors: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
     def last(self) -> int:
-        """The last round that it told of; -1 of none."""
+        """Return the last round with a record; 0 for `init` only, -1 for none."""
         return max(self.rounds, default=0 if self.init is not None else -1)
 
     def may_act(self, round_: int) -> bool:
-        """Whether it may have written in a round, as far as it told; what others do not count is no writing."""
+        """Return whether it may have written in a round without a record, and the others accept its writes."""
         return _why(self.acts, round_) is not None and _why(self.away, round_) is None
 
     def out_at(self, round_: int) -> str:
-        """Why the robot is out of the model in a round; empty while it is in it."""
+        """Return why the robot is outside of the model in a round; empty while it is in the model."""
         return _why(self.out, round_) or _why(self.away, round_) or ""
 
     def silent(self, round_: int) -> str:
-        """Why its own part of a round is not known, in words."""
+        """Return in words why the robot's part of a round is unknown."""
         if not self.lives:
             return f"there is no trace of {self.name}"
         if self.out_at(round_):
             return f"{self.name} had left the model ({self.out_at(round_)})"
         why = _why(self.acts, round_) or _why(self.quiet, round_)
         if why or round_ not in self.rounds:
-            return f"{self.name} told nothing" + (f": {why}" if why else "")
-        return f"{self.name}'s trace does not say it"
+            return f"{self.name} recorded nothing" + (f": {why}" if why else "")
+        return f"{self.name}'s trace does not contain it"
 
 
 @dataclass
 class Mission:
-    """All of it. `notes` are for the user."""
+    """One mission of a fleet, from all trace files. `notes` are for the user."""
 
     name: str
     app: str
@@ -109,22 +109,22 @@ class Mission:
     stories: list[Story]
     notes: list[str]
     cut: bool
-    log: Log  # of the version of the program that all others are of
+    log: Log  # a file of the program's version, the same for all files
     step: bool = False  # as of a Log
 
     @property
     def first(self) -> int:
-        """First round that a trace records. 0: everything is recorded, from `init` on."""
+        """Return the first round that a trace records. 0: everything is recorded, from `init` on."""
         return min((story.since for story in self.stories if story.lives), default=0)
 
     @property
     def last(self) -> int:
-        """The last round to look at: then the last robot had left the model, or said nothing more."""
+        """Return the last round to evaluate: the last one in which a robot in the model has a record."""
         return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.stories), default=0)
 
 
 def mission(logs: Sequence[Log]) -> Mission:
-    """The one mission that the files tell of. Raises BadTrace."""
+    """Return the only mission in the files. Raises BadTrace."""
     logs, old = _of_one_version(_by_age(logs))
     _same(logs)
     lives = _joined([life for log in logs for life in _lives(log)])
@@ -135,12 +135,12 @@ def mission(logs: Sequence[Log]) -> Mission:
                 other = next(each.path for each in logs if each.names.get(pid) == names[pid])
                 raise BadTrace(f"{log.path}: robot {pid} is {name}; in {other} it is {names[pid]}")
     chosen = _chosen(lives)
-    notes = [f"{log.path} is of an earlier version of the program, and is left aside" for log in old]
+    notes = [f"{log.path} is of an earlier version of the program, and is ignored" for log in old]
     notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
     left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
     notes += [
-        f"{path}: {names[pid]}'s part in mission {mission_} is left aside" for (pid, mission_), path in left.items()
+        f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()
     ]
     stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
@@ -150,7 +150,7 @@ def mission(logs: Sequence[Log]) -> Mission:
         _tell(story)
     _views(stories)
     notes[:0] = [
-        f"{story.name}'s trace is known from round {story.since} on: the older parts are not there (a robot deletes "
+        f"{story.name}'s trace begins in round {story.since}: the older parts are missing (a robot deletes "
         "them when its trace reaches trace_limit)"
         for story in stories
         if story.since
@@ -171,7 +171,7 @@ def _by_age(logs: Sequence[Log]) -> list[Log]:
 
 
 def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
-    """Return the files of the program that each robot ran last, and those that earlier starts of another one left."""
+    """Return the files of the program that each robot ran last, and those of earlier programs."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
     kept: list[Log] = []
     old: list[Log] = []
@@ -181,7 +181,7 @@ def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
 
 
 def _joined(lives: Sequence[Life]) -> list[Life]:
-    """Give each part the mission that a later part of the same start names. Records of a robot that started anew before
+    """Give each part the mission that a later part of the same start names. Records of a robot that restarted before
     its first round belong to no mission and are left out."""
     joined: list[Life] = []
     later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
@@ -196,7 +196,7 @@ def _joined(lives: Sequence[Life]) -> list[Life]:
 
 
 def _same(logs: Sequence[Log]) -> None:
-    """All are of one program and one fleet."""
+    """Check that all files are of one program and one fleet. Raises BadTrace."""
     first = logs[0]
     for log in logs[1:]:
         for what, mine, its in (
@@ -206,11 +206,11 @@ def _same(logs: Sequence[Log]) -> None:
             ("delta", first.delta, log.delta),
         ):
             if mine != its:
-                raise BadTrace(f"{first.path} and {log.path} are of another {what}: {mine} and {its}")
+                raise BadTrace(f"{first.path} and {log.path} differ in the {what}: {mine} and {its}")
 
 
 def _lives(log: Log) -> Iterator[Life]:
-    """Each robot's lives, in their order; a life without any round, `init` or mission tells nothing."""
+    """Yield each robot's lives, in their order. A life may lack any round, `init` and mission."""
     current: dict[int, Life] = {}
     for line in log.lines:
         record = line.record
@@ -230,9 +230,9 @@ def _lives(log: Log) -> Iterator[Life]:
 
 
 def _chosen(lives: Sequence[Life]) -> str:
-    """The mission that all files have a part in; the files that one robot wrote beside one another count as one. Raises
-    BadTrace where there is none."""
-    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, and the last file that names it
+    """Return the mission that all files have a part in. Files that one robot wrote in one folder count as one. Raises
+    BadTrace if there is none."""
+    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, with the last file that names it
     for life in lives:
         if life.mission:
             named.setdefault(life.log.family, {})[life.mission] = life.log.path
@@ -248,7 +248,7 @@ def _chosen(lives: Sequence[Life]) -> str:
 
 
 def _tell(story: Story) -> None:
-    """From a robot's lives to its rounds. Raises BadTrace."""
+    """Build a robot's rounds from its lives. Raises BadTrace."""
     story.lives.sort(key=_order)
     teller = _Teller(story)
     for life in story.lives:
@@ -257,7 +257,7 @@ def _tell(story: Story) -> None:
 
 
 def _order(life: Life) -> tuple[int, int]:
-    """Lives of one file stand in their order, those of several files in the order of their rounds."""
+    """Order lives of one file as they stand in it, those of several files by their rounds."""
     first = FOREVER
     for line in life.lines:
         if line.record["kind"] in ("init", "round"):
@@ -268,17 +268,17 @@ def _order(life: Life) -> tuple[int, int]:
 
 
 class _Teller:
-    """Goes through one robot's lives."""
+    """Builder of one robot's history from its lives."""
 
     def __init__(self, story: Story) -> None:
         self.story = story
-        self.previous = -1  # the last round told of; 0: `init`
-        self.doubt = ""  # why there may be something after it that was not told
-        self.came_back = False  # the doubt is about another life, or its trace is not there
-        self.resting, self.rested = False, 0.0  # in the present life, and since when
-        self.times: list[tuple[float, int]] = []  # of its rounds
-        self.left = FOREVER  # its first round in which it had left the mission
-        self.whose: dict[int, Path] = {}  # round -> the file that told of it
+        self.previous = -1  # last round with a record; 0: `init`
+        self.doubt = ""  # why there may be rounds after it without a record
+        self.came_back = False  # the doubt is due to another life, or to a missing trace
+        self.resting, self.rested = False, 0.0  # whether it stopped in the present life, and when
+        self.times: list[tuple[float, int]] = []  # time and number of its rounds
+        self.left = FOREVER  # first round in which it had left the mission
+        self.whose: dict[int, Path] = {}  # round -> file that records it
 
     def live(self, life: Life) -> None:
         story = self.story
@@ -311,12 +311,12 @@ class _Teller:
         if self.resting:
             since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
             story.out[-1] = story.out[-1]._replace(since=min(since + 1, self.left))
-        elif self.left < FOREVER:  # where it said so cannot be read
+        elif self.left < FOREVER:  # the record of its stop cannot be read
             self.resting = True
             story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Another part begins: what is not told before it is unknown, and the robot's own variables are known again."""
+        """Begin another part: earlier rounds without a record are unknown, the robot's own variables known again."""
         story, round_ = self.story, record["round"]
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
@@ -328,11 +328,11 @@ class _Teller:
         self.doubt, self.came_back = "", False
 
     def own(self, life: Life, round_: int) -> bool:
-        """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
+        """Return whether a round is recorded for the first time. Raises BadTrace if another file records it, too."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"
-            raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both tell of {what}")
+            raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both record {what}")
         return round_ not in self.story.rounds
 
     def round(self, life: Life, line: Line) -> None:
@@ -348,7 +348,7 @@ class _Teller:
         self.previous = max(self.previous, round_)
 
     def join(self, life: Life, gap: Gap) -> None:
-        """What is not told before a record, and what a robot that came back went on with."""
+        """Add the gap before a record, and the state with which a robot that restarted went on."""
         self.story.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
@@ -366,7 +366,7 @@ class _Teller:
         self.story.turns[gap.since] = None
 
     def end(self) -> None:
-        """Whether the robot may have gone on after the last that it told of."""
+        """Add the rounds after the last record, if the robot may have continued."""
         lives = self.story.lives
         if not lives:
             self.lose(Gap(0, FOREVER, "there is no trace of it"))
@@ -380,7 +380,7 @@ def _time(record: Mapping[str, Any]) -> float:
 
 
 def _views(stories: Sequence[Story]) -> None:
-    """Who was counted out, from which round to which."""
+    """Add the rounds in which a robot was removed by the others."""
     views = {
         line.record["number"]: line.record
         for story in stories

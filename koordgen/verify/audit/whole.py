@@ -1,7 +1,7 @@
-"""The whole fleet's state, round by round, as far as the robots' traces tell it.
+"""State of the whole fleet, round by round, as far as the robots' traces contain it.
 
-A round has two moments at which sensors were sampled: right after its events (sensors as at its start), and its end
-(sensors as at the next one's start). What lies between, nobody sampled.
+A round has two observations: right after its events (with the sensors of its start), and at its end (with the sensors
+of the next round's start). Between these no sensor was sampled.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from koordgen.verify.replay.store import Writes, had_frame
 
 
 class Whole:
-    """`values` by name, as generated properties take them: of a local variable, a port and an allread variable a list
-    by pid, of an allwrite variable its value; UNKNOWN where nobody told. `round` is the last one that was applied: at
-    first the one before the mission's `first`."""
+    """State of the fleet. `values` by name, as generated properties read them: a list by pid for a local variable, a
+    port and an allread variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last
+    round that was applied; initially the one before the mission's `first`."""
 
     def __init__(self, meaning: Meaning, mission: Mission) -> None:
         stories = mission.stories
@@ -32,7 +32,7 @@ class Whole:
         self.sensors = [name for name, direction in ports if direction == "sensor"]
         self._actuators = [name for name, direction in ports if direction == "actuator"]
         self._locals = [v.name for v in program.locals]
-        self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, out of the model or not
+        self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, in the model or not
         self._shared = _Shared(meaning, stories, mission.first)
         if mission.first:
             names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
@@ -42,7 +42,7 @@ class Whole:
             self._begin()
 
     def _begin(self) -> None:
-        """Before `init`: first values, actuators unset; a target that nobody wrote is where its robot is."""
+        """Set the values before `init`: initial values, actuators unset; an unset target is the robot's position."""
         found, n = self._meaning.found.program, len(self._stories)
         for variable in (*found.locals, *found.shared):
             first = variable.initial()
@@ -53,7 +53,7 @@ class Whole:
             self.values[port.name] = self.values.get(port.held, [value] * n)
 
     def advance(self) -> None:
-        """To right after the next round's events; round 0 is `init`."""
+        """Go on to right after the next round's events; round 0 is `init`."""
         self.round += 1
         for pid, story in enumerate(self._stories):
             self._act(pid, story)
@@ -70,11 +70,11 @@ class Whole:
         self.values.update(self._shared.after(self.round))
 
     def end(self) -> None:
-        """To the end of this round."""
+        """Go on to the end of this round."""
         self._sample(self.round + 1)
 
     def sampled(self, pid: int, round_: int) -> dict[str, Any]:
-        """A robot's sensors as at a round's start; UNKNOWN while it is out of the model."""
+        """Return a robot's sensors at a round's start; UNKNOWN while it is outside of the model."""
         story = self._stories[pid]
         told = self.record(pid, round_).get("sensors", {})
         if story.out_at(round_):
@@ -88,7 +88,7 @@ class Whole:
         return story.rounds[round_].record if round_ in story.rounds else {}
 
     def calls(self, pid: int) -> Calls | None:
-        """The robot's calls of callable ports in this round; None where a value in them is not known."""
+        """Return the robot's calls of callable ports in this round; None if a value in them is unknown."""
         told = self.record(pid, self.round).get("calls", [])
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
@@ -106,7 +106,7 @@ class Whole:
             own.update(self._meaning.values(told.get(group, {})))
 
     def _clear(self, pid: int) -> None:
-        """A sensor that a command has cleared is false until the robot says otherwise."""
+        """Set the sensors that the robot's commands clear to false, until its next sample."""
         for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
             for sensor in self._clears.get(name, ()):
                 if self.values[sensor][pid] is not UNKNOWN:
@@ -119,8 +119,7 @@ class Whole:
 
 
 class _Shared:
-    """The shared store after each round: what any robot saw of it at the next one's start, else what all told that they
-    wrote."""
+    """Shared store after each round: as some robot saw it at the next round's start, else by the recorded writes."""
 
     def __init__(self, meaning: Meaning, stories: list[Story], first: int) -> None:
         self._meaning, self._stories = meaning, stories
@@ -129,16 +128,16 @@ class _Shared:
             for record in [story.init or {}, *[line.record for line in story.rounds.values()]]:
                 self._writes.hear(story.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
-        self._copies: list[dict[str, Any]] = [{} for _ in stories]  # of an allread variable by pid
-        self._told: dict[str, Any] = {}  # as `_store`, in JSON
+        self._copies: list[dict[str, Any]] = [{} for _ in stories]  # allread variables by pid
+        self._told: dict[str, Any] = {}  # last `_store` that was converted, in JSON
         self._values: dict[str, Any] = {}
-        if first:  # then nobody tells what was there before
+        if first:  # the store before the first record is unknown
             for story in stories:
                 self._lose(story.pid)
                 self._see(story, first)
 
     def after(self, round_: int) -> dict[str, Any]:
-        """Call it for each round in turn, from the first."""
+        """Return the store after a round. Call it for each round in turn, from the first."""
         self._store = dict(self._writes.after(self._store, round_))
         for story in self._stories:
             if story.may_act(round_):
@@ -154,7 +153,7 @@ class _Shared:
         return self._values
 
     def _lose(self, pid: int) -> None:
-        """What this robot may have written in a round of which it told nothing."""
+        """Make unknown what this robot may have written in a round without a record."""
         for name, held in self._store.items():
             if name in self._writes.slots:
                 self._store[name] = [UNKNOWN if p == pid else own for p, own in enumerate(held)]
@@ -162,7 +161,7 @@ class _Shared:
                 self._store[name] = UNKNOWN
 
     def _see(self, story: Story, round_: int) -> None:
-        """What a robot saw at the start of a round is the store, whole."""
+        """Take the store over as a robot saw it at the start of a round."""
         copy = self._copies[story.pid]
         if story.turns.get(round_, copy) is None:
             copy.clear()

@@ -172,7 +172,7 @@ def test_a_trial_that_contradicts_nothing_says_so(
     [
         ({"state": None}, 1, "the state is no object"),
         ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "shows nothing: "),
-        ({"proved": ["R"]}, 1, "is no name that can stand there"),
+        ({"proved": ["R"]}, 1, "is none of the possible names"),
     ],
 )
 def test_a_file_that_is_wrong_is_told_so(

@@ -101,7 +101,7 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
     "another program": (lambda d: d.update(program="f" * 16), "another program"),
     "no program": (lambda d: d.pop("program"), "the file lacks"),
     "an unknown key": (lambda d: d.update(run="rm"), "the file has an unknown"),
-    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is no name that can stand there"),
+    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is none of the possible names"),
     "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "is no name"),
     "nothing proved": (lambda d: d.update(proved=[]), "proved is no list"),
     "no robots": (lambda d: d["state"].update(robots=[]), "robots is no list of 1 to 4"),

@@ -47,7 +47,7 @@ def test_a_trace_of_another_program_names_both_files(home: Path, capsys: pytest.
     told = refused(capsys, home)
     assert str(home / "alice.jsonl") in told and str(home / "cleo.jsonl") in told and "0000000000000000" in told
     edit(home / "cleo.jsonl", lambda r: r | {"app": "other"} if r["kind"] == "header" else r)
-    assert "are of another program: a and other" in refused(capsys, home)
+    assert "differ in the program: a and other" in refused(capsys, home)
 
 
 def test_traces_of_another_version_than_the_program_are_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +98,7 @@ def test_a_trace_that_is_cut_off_is_used_as_far_as_it_goes(home: Path) -> None:
     assert status == 4 and f"{place}: the trace is cut off here" in document["notes"]
     mine = by_name(document)["Mine"]
     assert mine["verdict"] == "held" and [s["outcome"] for s in mine["spans"]] == ["held", "unknown"]
-    assert mine["missing"] == {f"mine of bert: bert told nothing: {place} cannot be read": mine["unknown"]}
+    assert mine["missing"] == {f"mine of bert: bert recorded nothing: {place} cannot be read": mine["unknown"]}
 
 
 def broken_at(path: Path, round_: int, line: bytes) -> int:
