@@ -1,4 +1,4 @@
-"""Who executes runs: a pool on this host, or a Dask cluster. Both give futures of results."""
+"""Executors of runs: a pool on this host, or a Dask cluster. Both return futures of results."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from typing import Any, Protocol
 from koordgen.experiment.campaign.store import Result, cleared
 from koordgen.experiment.campaign.task import Job, execute
 
-REACHED_WITHIN = 10  # seconds
+REACHED_WITHIN = 10  # seconds until a cluster must answer
 
 
 class Unreachable(Exception):
-    """There is no such cluster, or no longer; `help` says the way out."""
+    """There is no such cluster, or its connection is lost; `help` names a remedy."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -27,7 +27,7 @@ class Unreachable(Exception):
 
 
 class Crew(Protocol):
-    """Executes jobs. `width` is how many to hand out at a time; `stop` ends those under way as far as it can."""
+    """Executor of jobs. `width`: number of jobs to submit at a time; `stop` ends running jobs as far as possible."""
 
     @property
     def width(self) -> int: ...
@@ -40,7 +40,7 @@ class Crew(Protocol):
 
 
 class Local:
-    """Threads of this process, each waiting for one run's process at a time."""
+    """Pool of threads in this process. Each thread waits for one run's process at a time."""
 
     def __init__(self, jobs: int) -> None:
         self.width = jobs
@@ -62,8 +62,8 @@ class Local:
 
 
 class Cluster:
-    """A Dask cluster. Its workers need this koordgen and the packages of its simulator; bundles go to them and run
-    folders come back over the cluster's own connections, so nobody has to share a disk."""
+    """Dask cluster. Its workers need this koordgen and the packages of its simulator. Bundles and run folders are sent
+    over the cluster's own connections, so no shared disk is needed."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -83,7 +83,7 @@ class Cluster:
 
     @property
     def width(self) -> int:
-        """Twice as many as the workers can execute, so that none waits for us."""
+        """Return twice the number of jobs that the workers can execute, so that no worker waits for the next job."""
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 
@@ -101,14 +101,14 @@ class Cluster:
                 result, files = finished.result()
                 unpacked(files, cleared(folder))
                 done.set_result(result)
-            except BaseException as error:  # of the worker, of the connection, of our disk: told by whoever asks
+            except BaseException as error:  # of the worker, the connection or this disk; the caller of result() gets it
                 done.set_exception(error)
 
         task.add_done_callback(arrived)
         return done
 
     def stop(self) -> None:
-        """Runs under way go on to their end on their workers, and count for nothing."""
+        """Cancel waiting jobs. Running ones continue on their workers, and their results are dropped."""
         with suppress(Exception):
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -119,7 +119,7 @@ class Cluster:
 
 
 def remote(job: Job, bundle: bytes, verdict: str) -> tuple[Result, bytes]:
-    """On a worker: the result and all files of the run's folder."""
+    """Execute a job on a worker. Return its result and all files of the run's folder."""
     with tempfile.TemporaryDirectory(prefix="koordgen-") as own:
         root = Path(own)
         unpacked(bundle, root / "bundle")
@@ -136,7 +136,7 @@ def _never() -> bool:
 
 
 def packed(folder: Path) -> bytes:
-    """A folder's files, by their path in it."""
+    """Return a folder's files as a zip archive, by their path in it."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")) if folder.exists() else ():
@@ -146,7 +146,7 @@ def packed(folder: Path) -> bytes:
 
 
 def unpacked(files: bytes, folder: Path) -> None:
-    """Into a new folder. Raises OSError."""
+    """Extract an archive into a new folder. Raises OSError."""
     folder.mkdir(parents=True)
     with zipfile.ZipFile(io.BytesIO(files)) as archive:
         archive.extractall(folder)

@@ -1,4 +1,4 @@
-"""Carries a plan out: hands runs to the crew, writes down what came of them, and ends in order whatever happens."""
+"""Campaign driver: submits runs to the executor, stores their results, and always ends with a consistent store."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from koordgen.experiment.campaign.plan import Run
 from koordgen.experiment.campaign.store import FULL, Result, Store
 from koordgen.experiment.campaign.task import Job, Stopped
 
-LOOK = 0.5  # seconds between two looks
+LOOK = 0.5  # seconds between two checks for finished runs
 Build = Callable[[Mapping[str, str], Path], None]
 
 
 class DiskFull(Exception):
-    """Nothing more can be written; what was finished stands."""
+    """The disk is full; finished runs are stored."""
 
 
 class Bundles:
-    """The bundles of a campaign: one for all runs, and one for each combination of varied params, made when its first
-    run begins and removed after its last. `build` writes one with these params into a folder; `name` is the folder of
-    the bundle itself within."""
+    """Bundles of a campaign: one for each combination of varied params. A bundle is built when its first run begins,
+    and removed after its last. `build` writes a bundle with these params into a folder; `name` is the bundle's own
+    folder in it."""
 
     def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[Run]) -> None:
         self._folder, self._name, self._build = folder, name, build
@@ -36,7 +36,7 @@ class Bundles:
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
     def of(self, run: Run) -> Path:
-        """The bundle of a run. Raises what `build` raises."""
+        """Return the bundle of a run. Raises what `build` raises."""
         key = _key(run.params)
         if key not in self._made:
             own = self._folder / str(len(self._made))
@@ -45,7 +45,7 @@ class Bundles:
         return self._made[key] / self._name
 
     def done(self, run: Run) -> None:
-        """A run needs its bundle no longer."""
+        """Release the bundle of a finished run."""
         key = _key(run.params)
         self._left[key] -= 1
         if not self._left[key]:
@@ -65,8 +65,8 @@ def carry_out(
     tell: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute the runs that are not finished. Raises DiskFull, Unreachable, and KeyboardInterrupt when it finds itself
-    interrupted; whatever it raises, the crew rests and what was finished is written down."""
+    """Execute the runs that are not finished. Raises DiskFull and Unreachable, and KeyboardInterrupt if `interrupted`
+    says so. Whatever it raises, the executor is stopped and finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
     progress = Progress(len(runs), kept)
     under_way: dict[Future[Result], Run] = {}
@@ -101,7 +101,7 @@ def _take(kept: Store, run: Run, future: Future[Result]) -> None:
         if error.errno in FULL:
             raise
         result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
-    except Exception as error:  # a worker that died, a result that could not be sent
+    except Exception as error:  # a worker died, or a result could not be sent
         result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     if result.outcome == "failed" and kept.full():
         raise DiskFull
@@ -109,7 +109,7 @@ def _take(kept: Store, run: Run, future: Future[Result]) -> None:
 
 
 class Progress:
-    """How far it is, and how long it will take: by the time that the runs of this session took."""
+    """Progress text: finished runs, and the remaining time, estimated from the runs of this session."""
 
     def __init__(self, total: int, kept: Store) -> None:
         self._total, self._kept = total, kept
@@ -136,8 +136,8 @@ def _clock(seconds: float) -> str:
 
 
 def write_table(kept: Store, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
-    """`campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of what is finished; the text. Raises
-    OSError."""
+    """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs. Return the text.
+    Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]
     found = table.document(app, planned, results, cells)
     text = table.as_text(found)

@@ -1,4 +1,4 @@
-"""Pictures of a campaign: each varied value against how the runs went, and the histogram of mission times."""
+"""Plots of a campaign: results of runs against each varied value, and a histogram of mission times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MARKS = {"held": "o", "violated": "X"}
 
 
 def draw(results: Sequence[Result], folder: Path) -> list[Path]:
-    """A picture for each varied name and one of mission times; none of runs that did not run. Raises OSError."""
+    """Draw a picture for each varied name and one of mission times; none if no run was executed. Raises OSError."""
     ran = [r for r in results if r.outcome in COLOURS]
     if not ran:
         return []
@@ -61,7 +61,7 @@ def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], value
 
 
 def _places(words: Sequence[str]) -> list[float]:
-    """Numbers stand where they are, words beside one another in their order."""
+    """Return positions on an axis: numbers at their value, words side by side in sorted order."""
     if all(map(_numeric, words)):
         return [float(word) for word in words]
     order = {word: float(k) for k, word in enumerate(sorted(set(words)))}

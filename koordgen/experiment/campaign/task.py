@@ -1,6 +1,6 @@
-"""One run, wherever it is executed: the bundle's own command, its summary, and the verdict of the user's script.
+"""Execution of one run on any host: the bundle's own command, its summary, and the verdict of the user's script.
 
-This file is also what a worker of a cluster runs, so it stands alone.
+Workers of a cluster run this file, too, so it depends on little else.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from typing import Any
 from koordgen.experiment.campaign.store import Result
 
 HELD, VIOLATED = 0, 3  # exit statuses of a bundle
-POLL = 0.05  # seconds
-PATIENCE = 10.0  # seconds from asking a run to end until it is killed
-MOST_SHOWN = 300  # characters of a reason
+POLL = 0.05  # seconds between two checks for a stop
+PATIENCE = 10.0  # seconds from the request to end until a run is killed
+MOST_SHOWN = 300  # longest reason in characters
 
 
 class Stopped(Exception):
-    """The campaign ends; the run was ended with it and counts for nothing."""
+    """The campaign was stopped; its running run was ended and does not count."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be run. `flags` are the bundle's own; `settings` of its harness are laid over its scenario's;
-    `verdict` is a script that gets the run's folder, "" without one."""
+    """One run to execute. `flags` are the bundle's own; `settings` of its harness override the scenario's; `verdict`:
+    a script that gets the run's folder, "" without one."""
 
     number: int
     varied: Mapping[str, str]
     flags: tuple[str, ...]
     settings: Mapping[str, Any]
     verdict: str
-    gentle: bool  # leave the computer to others
-    scenario: str = ""  # what goes wrong in the run, as JSON; "" when nothing does
+    gentle: bool  # run with low priority
+    scenario: str = ""  # scenario with faults, as JSON; "" without one
 
 
 def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> Result:
-    """Run it and judge it. `folder` gets what the run writes, and beside it stand its settings and its scenario. Raises
+    """Execute and judge a run. The run writes into `folder`; its settings and its scenario are stored beside it. Raises
     Stopped, OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
@@ -64,9 +64,9 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
 
 
 def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
-    """Run a command to its end: its status, and what it said. It is asked to end when the campaign does. Raises
+    """Run a command to its end. Return its status and its output. It is ended if the campaign is stopped. Raises
     Stopped."""
-    # In a group of its own: a terminal's Ctrl-C is ours to pass on.
+    # The child has its own process group, so that this process decides whether it gets a terminal's Ctrl-C.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
     ) as child:
@@ -82,7 +82,7 @@ def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """Twice: a run that is asked once brings its robots to rest, and writes a report."""
+    """End a run with two requests: after the first one it would stop its robots and write a report."""
     for _ in range(2):
         child.terminate()
         try:
@@ -135,8 +135,8 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
 
 
 def _judged(result: Result, script: str, folder: Path, stopped: Callable[[], bool]) -> Result:
-    """The script's status is 0, or the run is violated and its last line says why; numbers of a last line that is a
-    JSON object are figures of the run."""
+    """Judge a run by the user's script. If its status is not 0, the run is violated and the last line of its output is
+    the reason. If the last line is a JSON object, its numbers are figures of the run."""
     status, told = watched([sys.executable, script, str(folder)], stopped)
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None

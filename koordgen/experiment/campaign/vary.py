@@ -1,9 +1,10 @@
-"""What varies from run to run: `seed`, `seed=1:70`, `loss=0:0.3`, `delay=0,0.02,0.05`, `param.eps=0.5:0.9`.
+"""Variation from run to run: `seed`, `seed=1:70`, `loss=0:0.3`, `delay=0,0.02,0.05`, `param.eps=0.5:0.9`.
 
-Grids make cells, one for each combination of their values; the runs go round the cells. The runs of all cells with one
-turn have the same seed and the same drawn values, so cells are compared in pairs. Values of ranges are drawn evenly, by
-multiples of the square roots of primes (R. D. Richtmyer, "The Evaluation of Definite Integrals, and a Quasi-Monte-Carlo
-Method", 1951): each beginning of the campaign covers its ranges about as evenly as the whole.
+Lists of values span cells, one for each combination of their values. Runs go through the cells in turn; one pass
+through all cells is a turn. The runs of one turn have the same seed and the same drawn values, so that cells can be
+compared in pairs. Values of ranges are multiples of square roots of primes (R. D. Richtmyer, "The Evaluation of
+Definite Integrals, and a Quasi-Monte-Carlo Method", 1951): every initial part of a campaign covers its ranges about as
+evenly as the whole.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
 
 
 class BadVary(Exception):
-    """What is not understood; the message quotes it."""
+    """An argument of `--vary` is wrong; the message quotes it."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """One of these values, as they were written."""
+    """A list of values, as they were written."""
 
     name: str
     values: tuple[str, ...]
@@ -43,7 +44,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Seeds:
-    """Another seed with each turn, from `first` on; `last` bounds how many turns there can be."""
+    """A new seed in each turn, beginning with `first`; `last` limits the number of turns."""
 
     first: int
     last: int | None = None
@@ -54,7 +55,7 @@ Varied = Grid | Range | Seeds
 
 
 def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
-    """What several `--vary` say together. Raises BadVary."""
+    """Parse the arguments of all `--vary`. Raises BadVary."""
     found: list[Varied] = []
     for text in texts:
         found += [_one(*item) for item in _items(text)]
@@ -70,8 +71,8 @@ def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
 
 
 def _items(text: str) -> list[tuple[str, list[str]]]:
-    """`seed,loss=0,0.1,delay=0:1` -> [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])]: what has no `=` goes
-    on with the list before it, but for `seed`."""
+    """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])]. An item
+    without `=`, except `seed`, continues the list before it."""
     items: list[tuple[str, list[str]]] = []
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
@@ -124,8 +125,8 @@ def _whole(name: str, text: str) -> int:
 
 
 def natural(varied: Sequence[Varied]) -> int | None:
-    """How many runs there are when nobody says it: every combination once, with every seed. None: as many as one
-    likes."""
+    """Return the default number of runs: every combination once, with every seed. None if there is no natural
+    number."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
     if any(isinstance(v, Range) for v in varied) or (seeds and seeds.last is None):
         return None
@@ -134,7 +135,7 @@ def natural(varied: Sequence[Varied]) -> int | None:
 
 
 def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
-    """The combinations of the grids' values; one, without any, when there is no grid."""
+    """Return the combinations of the lists' values; a single empty one if there is no list."""
     grids = [v for v in varied if isinstance(v, Grid)]
     return [
         dict(zip([g.name for g in grids], values, strict=True)) for values in product(*[grid.values for grid in grids])
@@ -142,8 +143,8 @@ def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
 
 
 def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
-    """For each run what its varied names are, as written on a command line, in the order of `varied`. Raises BadVary
-    when the seeds do not suffice."""
+    """Return for each run its varied values by name, as on a command line, in the order of `varied`. Raises BadVary if
+    there are too few seeds."""
     combinations = cells(varied)
     ranges = [v for v in varied if isinstance(v, Range)]
     steps = [math.sqrt(prime) for prime in PRIMES]

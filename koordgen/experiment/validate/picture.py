@@ -1,4 +1,4 @@
-"""The picture of a validation: how far outside the box between place and target bodies were, window by window."""
+"""Picture of a validation: how far bodies were outside of the box between position and target, window by window."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 COLOURS: dict[Kind, str] = {"overshoot": "#c0392b", "across": "#2471a3", "away": "#8e44ad", "drift": "#909497"}
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEAST = 1e-4  # metres: what is less is drawn there
+LEAST = 1e-4  # metres; smaller distances are drawn here
 BINS = 40
 
 
 def draw(samples: Sequence[Sample], title: str, path: Path) -> bool:
-    """A row for each platform: on the left every window by when it began, on the right how many reach how far, and the
-    farthest of each run. False, and no picture, where no run says where bodies went. Raises OSError."""
+    """Draw a row for each platform: on the left every window by its begin, on the right a histogram of distances and
+    the farthest of each run. False, without a picture, if no run recorded positions. Raises OSError."""
     from matplotlib.figure import Figure
 
     platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []

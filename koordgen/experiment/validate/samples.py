@@ -1,4 +1,4 @@
-"""What a run's `windows.jsonl` (targets/sim/judging/windows.py) says of it: a sample."""
+"""Sample: the content of one run's `windows.jsonl` (targets/sim/judging/windows.py)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 from koordgen.experiment.validate.breach import Breach, Row, kind
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-FINISHED = ("completed", "stopped")  # how a mission ends that was seen to its end
+FINISHED = ("completed", "stopped")  # endings of a mission that was observed to its end
 HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One of the program: its module and line, and its place among the run's."""
+    """An assumption of the program: its module and line, and its index in the run's records."""
 
     index: int
     module: str
@@ -28,21 +28,21 @@ class Assumption:
 
 @dataclass
 class Seen:
-    """Of one assumption and robot in a run: windows by how they came out, when it was first violated (seconds since
-    round 1), and the breach in a violated window that went farthest."""
+    """Observation of one assumption on one robot in a run. `windows`: numbers of windows by outcome; `first`: time of
+    the first violation (seconds since round 1); `worst`: the farthest breach in a violated window."""
 
     windows: Counter[str] = field(default_factory=Counter)
     first: float | None = None
     worst: Breach | None = None
-    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind
-    farthest: dict[str, float] = field(default_factory=dict)  # metres outside in one window, by kind
-    together: dict[str, float] = field(default_factory=dict)  # and in windows one after the other
+    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind of breach
+    farthest: dict[str, float] = field(default_factory=dict)  # largest distance in one window (m), by kind
+    together: dict[str, float] = field(default_factory=dict)  # largest sum over consecutive windows (m), by kind
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A run. `platforms` and `names` by pid; `far` and `reach`, by pid, are how far from its target a body was at most:
-    at moments outside of the box, and at any moment (metres)."""
+    """One run. `platforms` and `names` by pid. `far` and `reach`, by pid: largest distance of a body from its target
+    (metres), while it was outside of the box, and at any time."""
 
     run: int
     seed: int
@@ -51,23 +51,23 @@ class Sample:
     names: tuple[str, ...]
     platforms: tuple[str, ...]
     assumptions: tuple[Assumption, ...]
-    unchecked: tuple[tuple[int, str], ...]  # line, why
+    unchecked: tuple[tuple[int, str], ...]  # line and reason
     seen: Mapping[tuple[int, int], Seen]
     breaches: tuple[Breach, ...]
     far: Mapping[int, float]
     reach: Mapping[int, float]
 
     def robots(self, platform: str) -> list[int]:
-        """The pids of a platform."""
+        """Return the pids of a platform."""
         return [pid for pid, own in enumerate(self.platforms) if own == platform]
 
     def of(self, assumption: int, platform: str) -> list[Seen]:
-        """What was seen of an assumption on a platform, by robot."""
+        """Return the observations of an assumption on a platform, by robot."""
         return [self.seen[assumption, pid] for pid in self.robots(platform)]
 
 
 def read(folder: Path, run: int) -> Sample | None:
-    """The sample that a run's folder holds; None where the run did not come to its end. Raises OSError."""
+    """Read the sample in a run's folder; None if the run did not end regularly. Raises OSError."""
     try:
         with (folder / FILE).open(encoding="utf-8") as file:
             lines = [json.loads(line) for line in file]
@@ -76,7 +76,7 @@ def read(folder: Path, run: int) -> Sample | None:
         return _sample(run, lines[0], lines[1:-1], lines[-1]["end"])
     except FileNotFoundError:
         return None
-    except (ValueError, LookupError, TypeError):  # cut off, or not what a run writes
+    except (ValueError, LookupError, TypeError):  # cut off, or not written by a run
         return None
 
 
@@ -126,8 +126,8 @@ def _note(seen: Seen, came: str, at: float, breach: Breach | None) -> None:
 
 
 def margin(samples: Iterable[Sample], platform: str, *, outside: bool) -> float:
-    """How far from its target (m) a robot of that platform was in any of the runs: at moments outside of the box, or
-    at all. 0 where there was none."""
+    """Return the largest distance (m) of a robot of that platform from its target in any of the runs: while it was
+    outside of the box, or at any time. 0 if there was none."""
     values = (
         (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
     )

@@ -1,4 +1,4 @@
-"""Weaker assumptions that the samples keep to, with margins learned of them, and what the prover makes of each."""
+"""Suggestions: weaker assumptions with margins that all samples satisfy, and the invariants that each proves."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from koordgen.verify.prove.report.show import suggestion as closing
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-STEP = 0.01  # metres: margins are rounded up to it
-MOST_SAID = 140  # characters of a reason
+STEP = 0.01  # metres; margins are rounded up to multiples of it
+MOST_SAID = 140  # longest reason in characters
 
 
 @dataclass(frozen=True)
 class Proved:
-    """An invariant's verdict under some assumption; `closing` says with what more it would be PROVED, or why it is not;
-    "" where neither is known."""
+    """Verdict of an invariant under some assumption. `closing`: what else would prove it, or why it is not proved; empty
+    if neither is known."""
 
     invariant: str
     verdict: str
@@ -36,8 +36,8 @@ class Proved:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """An assumption in the place of another, `margin` metres by platform and for all of them, and what is then
-    proved."""
+    """An assumption that replaces another one. Margins in metres, by platform and for all of them; `proved`: the
+    verdicts with it."""
 
     module: str
     line: int
@@ -48,12 +48,12 @@ class Suggestion:
 
     @property
     def closes(self) -> bool:
-        """Whether every invariant is PROVED with it."""
+        """Return whether every invariant is PROVED with it."""
         return all(p.verdict == "PROVED" for p in self.proved)
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """The assumption at a line if it says nothing but where a body is on its way from `position` to `target`."""
+    """Return the assumption at a line if it only constrains the path of a body from `position` to `target`."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -73,11 +73,11 @@ def suggestions(
     samples: Sequence[Sample],
     solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
-    """In the place of the assumption at that line: its box or a ball about the target, and the ball alone. None where
-    it is about something else. Raises SolverMissing.
+    """Return replacements of the assumption at that line: its box or a ball about the target, and the ball alone. Empty
+    if it is about something else. Raises SolverMissing.
 
-    A box that is inflated at its start drifts, step by step, and no invariant about places survives it: so what is
-    added lies about the target."""
+    A box that is inflated around its start would drift, step by step, and break every invariant about positions. So the
+    margin is added around the target."""
     old = about_way(program, line)
     if old is None:
         return []
@@ -101,14 +101,14 @@ def _up(metres: float) -> float:
 
 
 def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | CrossCheck) -> list[Proved]:
-    """With the params as they are built: it is this fleet that was sampled."""
+    """Prove the program with the params of the build, since this fleet was sampled."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
     found = prove(Question(program, None, fixed), solver)
     return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
 
 
 def _with(source: Source, span: Span, formula: str) -> decl.Program:
-    """The program whose text has that formula at that place."""
+    """Return the program with that formula at that place of its text."""
     lines = source.text.split("\n")
     first, last = lines[span.line - 1], lines[span.end_line - 1]
     whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"

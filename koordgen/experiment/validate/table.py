@@ -1,4 +1,4 @@
-"""What was found, for people (at most 120 columns wide where words are ours) and as data."""
+"""Result of a validation as text (at most 120 columns, except for texts of the user), and as data for JSON."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 @dataclass(frozen=True)
 class Found:
-    """A validation: of which program and fleet, what its runs were, and what came of them. `texts` are the
-    assumptions as the program has them, by line; `unchecked` are lines that cannot be evaluated, with the reason;
-    `failed` says why runs did not come to an end, the first reason; `start_noise` is in metres and radians."""
+    """One validation: program and fleet, its runs, and its results. `texts`: the assumptions as the program has them,
+    by line; `unchecked`: lines that cannot be evaluated, with the reason; `failed`: the first reason why runs did not
+    end regularly; `start_noise` in metres and radians."""
 
     program: str
     fleet: str
@@ -37,7 +37,7 @@ class Found:
 
     @property
     def verdict(self) -> str:
-        """Of all together: the worst."""
+        """Return the worst of all verdicts."""
         said = {v.verdict for v in self.verdicts} | ({"INCONCLUSIVE"} if self.unchecked or not self.verdicts else set())
         return next(name for name in WORST if name in said)
 
@@ -46,7 +46,7 @@ Commands = Callable[[Case], tuple[str, str]]
 
 
 def as_text(found: Found, commands: Commands) -> str:
-    """`commands` tells how a case is run and replayed."""
+    """Return the text. `commands` returns the commands that run and replay a case."""
     lines = [*_head(found), ""]
     for line in dict.fromkeys(v.assumption.line for v in found.verdicts):
         lines += [*_assumption(found, [v for v in found.verdicts if v.assumption.line == line], commands), ""]
@@ -81,7 +81,7 @@ def _claim(found: Found) -> str:
         return f"with confidence {1 - bound.gamma:g} {says} ({bound.needed} runs or more without a violation)"
     if found.verdict == "VIOLATED":
         platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
-        return f"a proof that rests on what is assumed says nothing of {platforms}"
+        return f"a proof that uses these assumptions does not cover {platforms}"
     asked = f"to say that with confidence {1 - bound.gamma:g} {says} takes {bound.needed} runs without a violation"
     return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 
@@ -184,13 +184,13 @@ def _closes(own: Sequence[Suggestion]) -> str:
     if closing:
         return f"The prover closes every invariant with: assume {closing[0]}"
     return (
-        "The prover closes it with neither: say more of the motion, with a velocity or a braking term, or give the "
-        "invariant room for the margin."
+        "The prover closes it with neither: constrain the motion more, with a velocity or a braking term, or weaken "
+        "the invariant by the margin."
     )
 
 
 def document(found: Found, commands: Commands) -> dict[str, Any]:
-    """As JSON has it."""
+    """Return the result for JSON."""
     return {
         "format": FORMAT,
         "program": found.program,

@@ -1,4 +1,4 @@
-"""What the samples say of each assumption on each platform."""
+"""Verdicts about each assumption on each platform, from the samples."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ Name = Literal["VALIDATED", "VIOLATED", "INCONCLUSIVE"]
 
 @dataclass(frozen=True)
 class Bound:
-    """What is asked for: with confidence 1 - gamma a run violates with a probability below epsilon."""
+    """Claim to validate: with confidence 1 - gamma a run violates with a probability below epsilon."""
 
     epsilon: float
     gamma: float
 
     @property
     def needed(self) -> int:
-        """Runs without a violation."""
+        """Return the number of runs without a violation that show the claim."""
         return needed(self.epsilon, self.gamma)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A violated window that can be looked at again: of which run, with which seed, when (s since round 1)."""
+    """A violated window that can be run again: its run, seed, robot and time (s since round 1)."""
 
     run: int
     seed: int
@@ -60,11 +60,11 @@ class Robot:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one assumption on one platform. `runs` are the samples in which it was judged at all, `violated` those in
-    which it was violated, `interval` that of the probability that a run violates; `windows` and `violated_windows`
-    are of all of them together. `worst` went farthest outside the box, or was first. `epsilon` is what so many runs
-    show without a violation; `wanted` is how many more runs are needed. By kind of breach: violated windows, and metres
-    outside the box in one window (`farthest`) and in windows one after the other (`together`)."""
+    """Verdict about one assumption on one platform. `runs`: samples in which it was judged; `violated`: those in which
+    it was violated; `interval`: that of the probability that a run violates it; `windows` and `violated_windows`: sums
+    over all samples. `worst`: the farthest breach, or the first violation. `epsilon`: the bound that this many runs
+    without a violation would show; `wanted`: number of further runs needed. By kind of breach: violated windows, and
+    distances outside of the box in metres, in one window (`farthest`) and in consecutive windows (`together`)."""
 
     assumption: Assumption
     platform: str
@@ -86,8 +86,8 @@ class Verdict:
 
 
 def verdicts(samples: Sequence[Sample], unfinished: int, bound: Bound) -> list[Verdict]:
-    """By assumption, then platform, in the order of program and fleet; `unfinished` is how many runs that were begun
-    came to nothing. Of no sample nothing can be said, not even which platforms there are."""
+    """Return the verdicts by assumption, then platform, in the order of program and fleet. `unfinished`: number of
+    started runs without a sample. Empty without samples, since then not even the platforms are known."""
     if not samples:
         return []
     platforms = dict.fromkeys(samples[0].platforms)

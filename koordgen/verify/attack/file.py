@@ -214,8 +214,8 @@ class _Reader:
 
     def name(self, data: Any, what: str, known: Iterable[str]) -> str:
         if not isinstance(data, str) or data not in known:
-            raise BadFile(f"{what}: {_short(data)} is no name that can stand there")
             raise BadFile(f"{what}: {_short(data)} is none of the possible names")
+        return data
 
     def whole(self, data: Any, what: str, most: int) -> int:
         if type(data) is not int or not 0 <= data <= most:

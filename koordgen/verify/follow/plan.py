@@ -1,8 +1,9 @@
-"""A counterexample as rounds that agents can be made to run: which robot tries which event in which of their rounds.
+"""Plan of a counterexample for agents: which robot tries which event in which of the agents' rounds.
 
-In one round of the semantics atomic events come one after another, each on what those before it left; agents let one
-robot commit for each lock in a round, all on the store of its start. So a round is split: into the fewest agents'
-rounds that, by the agents' own rule, lead to the very state that the trace tells of. Sensors stand still between them.
+In a round of the semantics, atomic events run one after another, each on the store that the previous one left. Agents
+let one robot commit per lock in a round, and all of them read the store at its start. So a round is split into the
+fewest agents' rounds that lead to the state in the trace by the agents' own rule. Sensors keep their values between
+these.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from koordgen.verify.follow.exact import agree, fraction, nearest
 from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, Counterexample, Step, Told
 from koordgen.verify.replay.values import BadValue, plain, taken
 
-MOST = 5  # events of a round of which every split is tried; of more only the usual ones
-LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may do what it wants
+MOST = 5  # most events of a round for which every split is tried; for more, only the usual splits are
+LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may choose its events
 
 SHORT = "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals"
 
@@ -32,7 +33,7 @@ Events = Mapping[int, str]  # by pid
 
 
 class CannotFollow(Exception):
-    """The trace is none of this program's, or of what robots cannot do; the message says why, `help` the way out."""
+    """The trace is not of this program, or robots cannot do it; the message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -44,8 +45,8 @@ class ModelOnly(CannotFollow):
 
 
 class Round(NamedTuple):
-    """A round of the agents: what it is part of, what each robot is to try (`free`: what it wants), and how all stands
-    when it begins. `calls` by pid."""
+    """One agents' round. `of`: the round of the trace to which it belongs; `events`: the event that each robot is to
+    try; `free`: robots choose their events themselves; `state`: the state when it begins; `calls` by pid."""
 
     of: int
     line: int
@@ -56,18 +57,19 @@ class Round(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """`rounds` end with one in which nobody acts, for what the last one left. `found`: the agents' round after whose
-    events (0: after `init`) the trace's ending must be found; `environment`: after the environment's step behind it."""
+    """Plan of a run. The last of `rounds` has no events, so that the state after the one before it is observed.
+    `found`: the agents' round after whose events (0: after `init`) the trace's violation must occur; `environment`: it
+    must occur after the environment's step that follows."""
 
     given: Counterexample
     rounds: tuple[Round, ...]
-    calls: Mapping[int, tuple[Any, ...]]  # of init
+    calls: Mapping[int, tuple[Any, ...]]  # calls of callable ports in `init`
     found: int
     environment: bool
 
 
 def document(plan: Plan, program_hash: str) -> dict[str, Any]:
-    """The plan as the sim bundle takes it (targets/sim/follow/plan.py)."""
+    """Return the plan in the format of the sim bundle (targets/sim/follow/plan.py)."""
     given = plan.given
     return {
         "trace": str(given.path),
@@ -97,7 +99,7 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
 
 
 def planned(program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]) -> Plan:
-    """Raises CannotFollow."""
+    """Return the plan of a counterexample. Raises CannotFollow."""
     return _Planner(program, given, externs).plan()
 
 
@@ -110,7 +112,7 @@ class _Planner:
         self.events = {event.name: event for event in program.events}
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
-        self.cleared: set[tuple[int, str]] = set()  # robots, and their sensors that a command has cleared
+        self.cleared: set[tuple[int, str]] = set()  # robots, with their sensors that a command has cleared
         self.rounds: list[Round] = []
         self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
@@ -144,7 +146,7 @@ class _Planner:
         return Plan(self.given, tuple(self.rounds), calls, number, environment)
 
     def round(self, of: int, group: list[Step], state: State) -> State:
-        """One round of the trace; the state after it."""
+        """Plan one round of the trace. Return the state after it."""
         acts = [step for step in group if step.event != ENVIRONMENT]
         moved = [step for step in group if step.event == ENVIRONMENT]
         if len(moved) > 1 or (moved and group[-1] is not moved[0]):
@@ -167,7 +169,7 @@ class _Planner:
         return state
 
     def split(self, acts: list[Step], state: State, world: World) -> list[tuple[list[Step], State]]:
-        """The fewest agents' rounds that come to where the trace does, each with the state after it."""
+        """Return the fewest agents' rounds that lead to the trace's state, each with the state after it."""
         off = ""
         for blocks in self.splits(acts):
             at, found = state, []
@@ -186,28 +188,28 @@ class _Planner:
         place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
         if self.rounded:
             raise ModelOnly(
-                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not come to what the trace "
-                "says" + (f" ({off})" if off else ""),
+                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not lead to the state in "
+                "the trace" + (f" ({off})" if off else ""),
                 SHORT,
             )
         if not self.given.initial and self.events[acts[0].event].lock is None:
             raise ModelOnly(
-                f"{place}: {names} does not come to what the trace says ({off})" if off
+                f"{place}: {names} does not lead to the state in the trace ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
-                "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
+                "a plain event reads the store of its round's start, and a proof's step may begin within a round, when "
                 "others have written since; robots begin with a round",
             )  # fmt: skip
         after = self.stepped(acts, state, world)
         kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
         raise kind(
-            f"{place}: {names}, in this order: no rounds of agents come to what the trace says"
+            f"{place}: {names}, in this order: no rounds of agents lead to the state in the trace"
             + (f" ({off})" if off else ""),
-            "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: what "
-            "needs another order happens in the model only",
+            "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: steps "
+            "that need another order happen in the model only",
         )
 
     def stepped(self, acts: list[Step], state: State, world: World) -> State | None:
-        """Where the language's round leads, in the very order of the steps; None where one of them has no result."""
+        """Return the state after a round of the semantics, in the order of the steps; None if a step has no result."""
         at = state
         for step in acts:
             seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
@@ -218,8 +220,8 @@ class _Planner:
         return at
 
     def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
-        """Ways to spread a round's events over agents' rounds, the fewest first: all at once; the plain ones at once
-        amid the atomic ones, in their order; of few events every other way."""
+        """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first: all in one; the plain
+        ones together among the atomic ones, in their order; for few events, every partition."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -234,8 +236,9 @@ class _Planner:
             yield from sorted(_partitions(acts), key=len)
 
     def done(self, block: list[Step], state: State, world: World, begun: State | None = None) -> list[Done] | None:
-        """What agents do in one round, as it counts, all on the store of its start; None where one of them does not, or
-        two want one lock. `begun`: where the round began, if not in `state`; that tells which events have priority."""
+        """Return the steps of one agents' round, all on the store of its start. None if one of them is impossible, or
+        two need one lock. `begun`: the state at the start of the trace's round, if it is not `state`; it decides which
+        events have priority."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -257,7 +260,7 @@ class _Planner:
         return found
 
     def begun(self, first: Step) -> State:
-        """The trace's first state."""
+        """Return the trace's first state."""
         sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
@@ -295,14 +298,14 @@ class _Planner:
             raise self.broken(step, f"the program has no {error}") from None
 
     def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
-        """Callable ports answer as the trace says."""
+        """Return a world in which callable ports give the answers in the trace."""
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
             given = [plain(arg) for arg in args]
             for name, asked, said in calls.get(pid, ()):
                 if name == port and self.agree(asked, given):
                     return taken(said, self.types[port], nearest)
-            raise LookupError(f"{port} was not asked that")
+            raise LookupError(f"no call of {port} in the trace has these arguments")
 
         return World(self.externs, answer)
 
@@ -313,8 +316,8 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """The sensors of a robot that commands clear, and none has cleared yet: on robots they are true then, whatever
-        a proof's counterexample says."""
+        """Return the sensors of a robot that commands clear but no command has cleared yet. On robots these are true,
+        whatever a counterexample to induction says."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
     def compare(self, step: Step, state: State) -> None:
@@ -322,7 +325,7 @@ class _Planner:
             raise CannotFollow(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
 
     def differs(self, step: Step, state: State) -> str:
-        """How a state is not what the trace says of it; empty where it is."""
+        """Describe a difference between a state and the trace; empty if there is none."""
         for pid, told in enumerate(step.robots):
             robot = state.robots[pid]
             meant = {**robot.locals, **robot.ports, **state.store.cells}
@@ -341,7 +344,7 @@ class _Planner:
         return agree(told, meant, bool(self.rounded))
 
     def broken(self, step: Step, why: str) -> CannotFollow:
-        return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is no counterexample of this program")
+        return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is not a counterexample of this program")
 
 
 def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
@@ -365,7 +368,7 @@ def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
 
 
 def _partitions(acts: list[Step]) -> Iterator[list[list[Step]]]:
-    """Every way to do them in several rounds."""
+    """Yield every partition of events into a sequence of rounds."""
     if not acts:
         yield []
         return

@@ -1,4 +1,4 @@
-"""A counterexample's trace (koordgen/verify/prove/report/trace.py writes it) as steps of a fleet."""
+"""Parser of a counterexample's trace (written by koordgen/verify/prove/report/trace.py) into steps of a fleet."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from koordgen.verify.replay.trace import Trace, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # the limit of koordgen/runtime/net/wire.py, which a test compares
 
-Values = Mapping[str, Any]  # by name, in JSON
+Values = Mapping[str, Any]  # name -> value in JSON
 
 
 class Told(NamedTuple):
-    """What a step's record says of one robot after it; `calls` of callable ports: port, arguments, answer."""
+    """Record of one robot after a step; `calls` of callable ports: port, arguments, answer."""
 
     sensors: Values
     shared: Values
@@ -28,8 +28,8 @@ class Told(NamedTuple):
 
 
 class Step(NamedTuple):
-    """`line` is that of its first record; `event` BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`, which is -1
-    else."""
+    """One step. `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`;
+    without such a robot `pid` is -1."""
 
     line: int
     round: int
@@ -39,8 +39,8 @@ class Step(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """What is violated after the last step, by the trace. `pid` and `event`: what comes next and has no result; -1:
-    nothing is to come."""
+    """Violation after the last step. `pid` and `event`: the event that would come next and has no result; -1 if there
+    is none."""
 
     name: str
     line: str
@@ -50,9 +50,9 @@ class Ending(NamedTuple):
 
 
 class Counterexample(NamedTuple):
-    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON, `given` names those
-    that were not as the program has them. Without `ending` it is cut off, or
-    of a run in which nothing is violated; `cut` is the line from which on it cannot be read, 0 where it can."""
+    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ
+    from the program's values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from
+    which on it cannot be read; 0 if all of it can."""
 
     path: Path
     app: str
@@ -67,14 +67,14 @@ class Counterexample(NamedTuple):
 
 
 def read(path: Path) -> Counterexample:
-    """As much as is there. Raises BadTrace."""
+    """Read as much of a trace as possible. Raises BadTrace."""
     blank = Trace(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
-        raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
+        raise BadTrace(f"{path}: not the trace of a counterexample, as `koordgen explore --trace` writes it")
     try:
         app, program_hash = str(header["app"]), str(header["program_hash"])
         n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])
@@ -87,7 +87,7 @@ def read(path: Path) -> Counterexample:
     steps, ending, cut = _steps(path, ((number, record) for number, record, _ in lines), n_sys)
     cut = blank.cut or cut
     if not steps:
-        raise BadTrace(f"{path}: there is no whole step in it")
+        raise BadTrace(f"{path}: it contains no complete step")
     initial = header["counterexample"] == "run"
     return Counterexample(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
 
@@ -95,7 +95,7 @@ def read(path: Path) -> Counterexample:
 def _steps(
     path: Path, found: Iterator[tuple[int, dict[str, Any]]], n_sys: int
 ) -> tuple[tuple[Step, ...], Ending | None, int]:
-    """The whole steps, what is violated, and the line from which on a step is not whole."""
+    """Return the complete steps, the violation, and the line at which an incomplete step begins (0: none)."""
     steps: list[Step] = []
     part: list[dict[str, Any]] = []
     first = 0
@@ -124,11 +124,11 @@ def _step(line: int, part: list[dict[str, Any]]) -> Step:
     if type(event) is not str or type(round_) is not int or round_ < 0:
         raise ValueError(f"step {event!r} of round {round_!r}")
     if any((record["step"], record["round"]) != (event, round_) for record in part):
-        raise ValueError("robots of one step tell of different ones")
+        raise ValueError("records of one step are of different steps")
     acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
     alone = event not in (BEGINNING, INIT, ENVIRONMENT)
     if alone and len(acting) != 1:
-        raise ValueError(f"{event} is an event of one robot, here it is of {len(acting)}")
+        raise ValueError(f"{event} must be an event of one robot, but {len(acting)} robots act")
     return Step(line, round_, event, acting[0] if alone else -1, tuple(map(_told, part)))
 
 

@@ -1,4 +1,4 @@
-"""Values as traces have them, in JSON, and as the executable semantics has them."""
+"""Conversion of values between traces, in JSON, and the executable semantics."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 
 
 class BadValue(Exception):
-    """What a trace has for a value is none of its type."""
+    """A value in a trace is not of its type."""
 
 
 Number = Callable[[Any], float]  # raises ValueError, TypeError
 
 
 def taken(data: Any, type_: Type, number: Number = float) -> Value:
-    """The value of a type that stands in a trace, whose floats `number` reads; one that is not finite is null there,
-    and becomes NaN. Raises BadValue."""
+    """Convert a value from a trace, whose floats `number` reads. Null stands for a number that is not finite, and
+    becomes NaN. Raises BadValue."""
     try:
         return _taken(data, type_, number)
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):
@@ -98,7 +98,7 @@ def _point(data: Any, number: Number) -> Point:
 
 
 def plain(value: Any) -> Any:
-    """A value as a trace has it."""
+    """Convert a value to its form in a trace."""
     match value:
         case float():
             return value if math.isfinite(value) else None

@@ -67,7 +67,7 @@ def test_what_is_too_large_for_the_solver_is_attacked_without_it(
     found = attack(checked(text), proved, solver=solver, clock=ticks())
     assert found.contradiction is None
     assert found.states
-    assert any("cannot be written down" in reason for reason in found.reasons.values()), found.reasons
+    assert any("cannot be encoded" in reason for reason in found.reasons.values()), found.reasons
 
 
 STALE = """
@@ -207,7 +207,7 @@ invariant Q: forall i in ID: a[i] == 0
 """
     found = attacked(text)
     assert found.contradiction is None
-    assert found.of("Go", "Q") == (0, "what the extern function half yields is not known")
+    assert found.of("Go", "Q") == (0, "the result of the extern function half is unknown")
     assert found.of(INIT, "Q")[0] > 0
 
 
@@ -296,7 +296,7 @@ def test_states_of_models_keep_first_values_of_what_no_model_tells(solver: Solve
 
 def test_what_the_semantics_does_not_repeat_is_an_error_of_the_attack(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Judge, "follow", lambda judge, trial: Followed((trial.state,), None))
-    with pytest.raises(InternalError, match="it is none the second time"):
+    with pytest.raises(InternalError, match="the second run shows no contradiction"):
         attacked(FAULTS["a value written before a loop"])
 
 

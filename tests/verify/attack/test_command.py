@@ -89,7 +89,7 @@ def test_obligations_that_were_not_attacked_are_named(folder: Path, capsys: pyte
     extern = "extern fun half(int x) -> int:\n  ensures: result >= 0\n"
     assert main(["prove", written(extern + text)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "not attacked Q-Go: what the extern function half yields is not known" in shown
+    assert "not attacked Q-Go: the result of the extern function half is unknown" in shown
 
 
 def test_each_number_of_robots_is_attacked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

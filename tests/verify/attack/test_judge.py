@@ -170,8 +170,8 @@ def test_a_trial_is_run_step_by_step() -> None:
     [
         (begun(0), [Act("Up", 0)], "its first state violates Q"),
         (launched(-1), [Act(INIT)], "`initially` does not hold"),
-        (launched(), [Act("Up", 0)], "`init` comes first"),
-        (begun(1), [Act(INIT)], "`init` comes first"),
+        (launched(), [Act("Up", 0)], "`init` must be the first step"),
+        (begun(1), [Act(INIT)], "`init` must be the first step"),
         (begun(1), [Act("Down", 0)], "robot 0 may not run Down at its step"),
         (begun(1), [Act("Up", 0), Act("Up", 0)], "two events in one round"),
         (begun(3), [Act("Down", 0), moved(1)], "goes on after a step"),

@@ -213,7 +213,7 @@ def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
     found = by_name(audited(saved(tmp_path, fleet, WHOLE))[1])
     assert (
         found["Sum"]["verdict"] == "violated"
-        and "by then bert had been out of the model" in found["Sum"]["proof"]["says"]
+        and "by then bert had been outside of the model" in found["Sum"]["proof"]["says"]
     )
 
 
