@@ -34,11 +34,11 @@ OWN = {
     "live",
     "settings",
     "invoked-as",
-}  # options of a run that a campaign says itself, or that it has no use for
+}  # options of a run that a campaign sets itself or cannot use
 
 
 def campaign(options: Namespace) -> int:
-    """Plan it, claim its folder, carry it out, show the table."""
+    """Plan the campaign, claim its folder, execute the runs, print the table."""
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     try:
         varied = vary.parse(options.vary)
@@ -100,19 +100,19 @@ def _show_table(
         print(text, end="", file=console.output(options))
         print(f"table and pictures: {kept.folder}", file=console.output(options))
     except OSError:
-        if whole:  # else what ended the campaign is what there is to tell
+        if whole:  # otherwise the reason why the campaign ended is reported
             raise
 
 
 def _crew(options: Namespace) -> crew.Crew:
     if options.cluster:
         return crew.Cluster(options.cluster)
-    # In real time two runs disturb one another.
+    # Runs in real time would disturb one another.
     return crew.Local(options.jobs or ((os.cpu_count() or 1) if options.lockstep else 1))
 
 
 def _fixed(options: Namespace) -> list[str]:
-    """The bundle's options that all runs have."""
+    """Return the options that all runs pass to the bundle."""
     found = [] if options.duration is None else [f"--duration={options.duration:g}"]
     return [*found, "--lockstep"] if options.lockstep else found
 
@@ -122,7 +122,7 @@ def _digest(data: bytes) -> str:
 
 
 def _builder(options: Namespace, harness: Target) -> drive.Build:
-    """Builds without a word: what there is to say of the program was said before."""
+    """Return a function that builds bundles silently. Diagnostics were already reported."""
 
     def build(params: Mapping[str, str], folder: Path) -> None:
         from koordgen.build.pipeline import plan_file
@@ -139,7 +139,7 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
 
 
 def _fitting(runs: Sequence[plan.Run], harness: Target) -> None:
-    """Whether what is varied may be varied, and settings have values that the manifest allows. Raises BadVary."""
+    """Check that the named things may vary, and that the manifest allows the values of settings. Raises BadVary."""
     for name in OWN.intersection(runs[0].flags):
         raise vary.BadVary(f"{name}: each run has its own")
     for name, value in dict.fromkeys(item for run in runs for item in _settings(run, harness).items()):
@@ -148,7 +148,7 @@ def _fitting(runs: Sequence[plan.Run], harness: Target) -> None:
 
 
 def _settings(run: plan.Run, harness: Target) -> dict[str, Any]:
-    """What a run sets of the harness: a text where that is wanted, else a number, true or false."""
+    """Return the harness' settings of a run; a value becomes a number or bool unless the setting is a text."""
     found: dict[str, Any] = dict(run.settings)
     for name, text in run.settings.items():
         if harness.settings[name].type != "string":
@@ -159,14 +159,14 @@ def _settings(run: plan.Run, harness: Target) -> dict[str, Any]:
 
 
 def _scenarios(runs: Sequence[plan.Run], bundle: Mapping[str, bytes]) -> dict[str, str]:
-    """What is in the scenario files that are varied, as JSON, by path: runs elsewhere have no such files. Raises
+    """Return the contents of the varied scenario files as JSON, by path, since workers lack these files. Raises
     Rejected, with line and column."""
     paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
     return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
 def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> list[plan.Run]:
-    """The runs in which each value of a list stands once, and the last one, for the ends of ranges and seeds."""
+    """Return the runs in which each value of a list occurs once, and the last run, for the ends of ranges and seeds."""
     seen: set[tuple[str, str]] = set()
     found = []
     for run in runs[: len(cells)]:
@@ -178,7 +178,7 @@ def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> li
 
 
 def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harness: Target) -> None:
-    """Whether the bundle takes these runs: it looks at its options and runs nothing."""
+    """Check that the bundle accepts the options of these runs. Nothing is run. Raises Failure."""
     for run in runs:
         flags = [*fixed, *_flags(run)]
         command = [sys.executable, str(bundle), "--check", *flags]
@@ -202,7 +202,7 @@ def _flags(run: plan.Run) -> list[str]:
 def _jobs(
     options: Namespace, out: Path, fixed: Sequence[str], harness: Target, scenarios: Mapping[str, str]
 ) -> Callable[[plan.Run], Job]:
-    """What is to be run for a run."""
+    """Return a function that makes the job of a run."""
     script = str(Path(options.verdict).resolve()) if options.verdict else ""
 
     def job(run: plan.Run) -> Job:
@@ -223,7 +223,7 @@ def _ended(
     line: Line,
     again: str = "--resume",
 ) -> BaseException | None:
-    """Why it ended before its end, or None. What was finished is there either way; `again` goes on with it."""
+    """Execute the runs. Return why they ended early, or None. Finished runs are stored; `again` continues with them."""
     resumable = ("{} of {} runs are finished; " + f"{again} goes on from there").format
     try:
         with _noticed_signals() as noticed:
@@ -244,7 +244,7 @@ def _ended(
 
 
 def _single(options: Namespace, run: plan.Run, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
-    """The command that repeats one run, for its report."""
+    """Return the command that repeats one run, for its report."""
     params = [f"--param={text}" for text in [*options.param, *(f"{n}={v}" for n, v in run.params.items())]]
     settings = [f"# {name}: {value}" for name, value in run.settings.items()]
     words = ["koordgen", harness.name, options.program, f"--fleet={options.fleet}", *params, *fixed, *_flags(run)]
@@ -253,7 +253,7 @@ def _single(options: Namespace, run: plan.Run, fixed: Sequence[str], harness: Ta
 
 @contextmanager
 def _noticed_signals() -> Iterator[list[int]]:
-    """SIGINT, SIGTERM and SIGHUP end a campaign where it can be resumed, and not in the middle of a line."""
+    """Record SIGINT, SIGTERM and SIGHUP instead of dying, so that the campaign ends where it can be resumed."""
     noticed: list[int] = []
     watched = [s for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) != signal.SIG_IGN]
     before = {each: signal.signal(each, lambda number, _: noticed.append(number)) for each in watched}

@@ -1,4 +1,4 @@
-"""`koordgen sim --follow TRACE`: the trace, the program and the fleet brought together before anything runs."""
+"""`koordgen sim --follow TRACE`: checks that trace, program and fleet fit together, before anything runs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplicatio
 
 
 def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
-    """The params that the fleet leaves to the trace, and what the bundle is to follow. Raises Rejected, Failure."""
+    """Return the params that only the trace has, and the plan for the bundle. Raises Rejected, Failure."""
     for name in REFUSED:
         if getattr(options, name) not in (None, False):
-            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace says all that happens in the run")
+            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace determines all events of the run")
     try:
         given = read(Path(options.follow))
     except BadTrace as error:
@@ -44,7 +44,7 @@ def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
 
 
 def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[str, Value]]:
-    """The program with the params of fleet and trace, and those that only the trace says."""
+    """Return the program with the params of fleet and trace, and the params that only the trace has."""
     from koordgen.fleet import manifest
 
     checked = check_file(options.program)
@@ -64,36 +64,36 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
         program = with_params(checked.program, {**more, **own})
         versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
     except BadParam as error:
-        raise Failure(WRONG, f"{given.path}: {error}", "those are params of trace, fleet or command") from None
+        raise Failure(WRONG, f"{given.path}: {error}", "check the params of trace, fleet and command") from None
     for name, here in initial(program, given.n_sys).params.items():
         if not agree(given.params[name], plain(here)):
             raise Failure(
-                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in it, and {plain(here)!r} here",
+                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in the trace, but {plain(here)!r} here",
                 f"look for a counterexample with --fleet {options.fleet} and the same --param",
             )  # fmt: skip
     hashes = [hash_of(version, options.program, options.functions)[0] for version in versions]
-    if given.program_hash not in hashes:  # params may be written in more than one way
+    if given.program_hash not in hashes:  # equal params may be written in different ways
         raise Failure(
             WRONG, f"{given.path} is of a program with the hash {given.program_hash or '(none)'}; {options.program} "
             f"has {hashes[0]}",
-            "another version of the program or of its extern functions: look for the counterexample anew",
+            "the program or its extern functions have changed: search for the counterexample again",
         )  # fmt: skip
     return program, more
 
 
 def _told(program: Program, given: Counterexample) -> dict[str, Value]:
-    """The trace's params, as `--param` has them. Raises Failure."""
+    """Return the trace's params in the form of `--param`. Raises Failure."""
     types = {p.name: p.type for p in program.params}
     if set(given.params) != set(types):
         raise Failure(
             WRONG, f"{given.path} has the params {_names(given.params)}; {program.path} has {_names(types)}",
-            "another version of the program: look for the counterexample anew",
+            "the program has changed: search for the counterexample again",
         )  # fmt: skip
     try:
         values = {name: taken(value, types[name], nearest) for name, value in given.params.items()}
         return {name: as_given(plain(value), types[name]) for name, value in values.items()}
     except (BadValue, ValueError, TypeError) as error:
-        raise Failure(WRONG, f"{given.path}: its params are none of this program's: {error}") from None
+        raise Failure(WRONG, f"{given.path}: its params do not fit this program: {error}") from None
 
 
 def _names(params: Mapping[str, Any]) -> str:

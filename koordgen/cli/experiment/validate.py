@@ -37,15 +37,15 @@ FLAGS = ("--lockstep", "--windows")
 
 
 def validate(options: Namespace) -> int:
-    """Sample, judge, look for what could be assumed, tell."""
+    """Run the command: sample, judge, suggest weaker assumptions, print. Return its exit status."""
     checked = check_file(options.program)
     if not any(module.assumptions for module in checked.program.modules):
-        way = "say under `using` what is taken for granted, such as `assume position' in Rect(position, target)`"
+        way = "state assumptions under `using`, such as `assume position' in Rect(position, target)`"
         raise console.Failure(console.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
     count = options.samples or Bound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
-    aside = Namespace(**{**vars(options), "format": "text"})  # one document on standard output
+    aside = Namespace(**{**vars(options), "format": "text"})  # standard output gets one document only
     bundles, app = building.planned(aside, [harness.name])
     building.require_packages()
     out = Path(options.out or f"validate-{app}")
@@ -68,7 +68,7 @@ def _found(
     options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.Store, count: int, whole: bool,
     line: Line,
 ) -> table.Found:  # fmt: skip
-    """What the samples say; `whole`: nothing ended them early. Raises OSError."""
+    """Evaluate the samples. `whole`: nothing ended the sampling early. Raises OSError."""
     numbers = [k for k in sorted(kept.results) if k < count]
     finished = [sample for k in numbers if (sample := samples.read(kept.run_folder(f"{k:04d}"), k))]
     read = {sample.run for sample in finished}
@@ -94,8 +94,8 @@ def _sampled(
     out: Path,
     line: Line,
 ) -> tuple[store.Store, BaseException | None]:
-    """The runs, those that were finished by an earlier call among them, and what ended them early. More samples of the
-    same program and fleet go on with those that are there: a sample is told by its seed alone."""
+    """Return the runs, including those that an earlier call finished, and what ended them early. Further samples of the
+    same program and fleet continue with existing ones, since a sample is identified by its seed alone."""
     fixed = [f"--duration={options.seconds:g}", *FLAGS]
     seeds = [str(options.seed + k) for k in range(count)]
     runs = [Run(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
@@ -117,7 +117,7 @@ def _sampled(
 
 
 def _command(options: Namespace, seed: int, out: Path) -> str:
-    """What repeats a sample, with its report."""
+    """Return the command that repeats a sample, with its report."""
     given = [f"--param={text}" for text in options.param]
     given += [f"--functions={options.functions}"] if options.functions else []
     words = ["koordgen", options.harness, options.program, f"--fleet={options.fleet}", *given]
@@ -129,7 +129,7 @@ def _start_noise(bundle: Mapping[str, bytes]) -> float:
 
 
 def _texts(checked: Checked) -> dict[int, str]:
-    """The assumptions as the program has them, by line."""
+    """Return the assumptions as the program has them, by line."""
     return {
         a.span.line: to_koord(a.formula).replace(f"{m.name}.", "")
         for m in checked.program.modules
@@ -140,7 +140,7 @@ def _texts(checked: Checked) -> dict[int, str]:
 def _suggested(
     options: Namespace, checked: Checked, judged: Sequence[Verdict], found: Sequence[samples.Sample], line: Line
 ) -> list[Suggestion]:
-    """For each assumption that is violated; none without a solver, which is said."""
+    """Return suggestions for each violated assumption; none without a solver, which is reported."""
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
     if not violated:
         return []
@@ -155,7 +155,7 @@ def _suggested(
             ]
     except SolverMissing as error:
         line.end()
-        console.say(f"note: {error}: what could be assumed instead was not proved")
+        console.say(f"note: {error}: suggestions for weaker assumptions were not proved")
         return []
 
 
@@ -178,7 +178,7 @@ def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach:
         store.replace(out / "validation.json", json.dumps(document, indent=2) + "\n")
         store.replace(out / "validation.txt", text)
     except OSError:
-        if whole:  # else what ended it is what there is to tell
+        if whole:  # otherwise the reason why the sampling ended is reported
             raise
     if options.format == "json":
         print(json.dumps(document, indent=2), flush=True)
@@ -187,14 +187,14 @@ def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach:
         print(f"all of it: {out}" + (f"; picture: {found.picture}" if found.picture else ""))
 
 
-# What `koordgen validate --reachsets` adds: where each platform of the fleet can get to on its way to one offset.
+# `koordgen validate --reachsets`: positions that each platform of the fleet can reach on its path to one offset.
 
 FOLDER, RUNS = "reachsets", "probes"
 
 
 def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
-    """Files, and how the platforms compare, as JSON has it; `text` is that for people. They are made anew with each
-    call. Raises OSError, Unreachable."""
+    """Return the files and the comparisons of the platforms for JSON; `text` is for people. Each call computes them
+    again. Raises OSError, Unreachable."""
     folder = out / FOLDER
     asked = Asked(options.offset, options.epsilon, options.gamma, options.seed)
     show: Callable[[str], None] = (lambda _: None) if options.quiet else (lambda text: line.show(f"reachsets: {text}"))

@@ -1,4 +1,4 @@
-"""`koordgen prove`: the attack on verdicts before they are printed; `--attack-from`, which repeats it."""
+"""`koordgen prove`: the attack on verdicts before they are printed, and `--attack-from`, which repeats one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-LEAST = 0.001  # seconds for each number of robots that was asked for, however many there are
+LEAST = 0.001  # seconds at least for each number of robots
 
 
 def attacked(
@@ -27,7 +27,7 @@ def attacked(
     solver: Solver | CrossCheck,
     options: Namespace,
 ) -> list[Attacks]:
-    """Attack the verdicts for each number of robots, for `--attack` seconds in all; return the numbers of states by
+    """Attack the verdicts for each number of robots, for `--attack` seconds in all. Return the numbers of states by
     obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is written to a file."""
     left, made = options.attack, []
     for place, verdicts in enumerate(found):
@@ -48,7 +48,7 @@ def _attacked(
     solver: Solver | CrossCheck,
     seconds: float,
 ) -> tuple[Attacks, Contradiction | None, float]:
-    """Attack the verdicts for one number of robots; return also the seconds that this took."""
+    """Attack the verdicts for one number of robots. Return also the seconds that this took."""
     from koordgen.verify.prove.report.show import AttackCount
 
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
@@ -70,7 +70,7 @@ def _attacked(
 
 
 def _unsound(verdicts: list[InvariantVerdict], contradiction: Contradiction) -> list[InvariantVerdict]:
-    """Return the verdicts that remain: those that rest on a contradicted one become UNKNOWN."""
+    """Return the remaining verdicts. Those that rest on a contradicted one become UNKNOWN."""
     name, why = contradiction.breach
     reason = f"the prover said PROVED, and the executable semantics contradicts it: {_where(contradiction)}, {why}"
     found = []
@@ -92,7 +92,7 @@ def _where(contradiction: Contradiction) -> str:
 
 
 def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contradiction: Contradiction) -> None:
-    """Write the contradiction to a file, and ask for a report."""
+    """Write the contradiction to a file, and ask the user to report it."""
     from koordgen.build.emit.program import program_hash
     from koordgen.verify.attack.file import written
 
@@ -113,7 +113,7 @@ def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contr
 
 
 def again(options: Namespace) -> int:
-    """`--attack-from`: run the state of a file again, and show what it does."""
+    """`--attack-from`: run the state in a file again, and show the steps."""
     from koordgen.build.emit.program import program_hash
     from koordgen.build.pipeline import check_file
     from koordgen.lang.semantics.exact import exact
@@ -135,7 +135,7 @@ def again(options: Namespace) -> int:
     except BadFile as error:
         raise Failure(WRONG, f"{name}: {error}", error.help) from None
     except Refused as error:
-        raise Failure(WRONG, f"{name} shows nothing: {error}", "no verdict speaks of such a state or step") from None
+        raise Failure(WRONG, f"{name} shows nothing: {error}", "no verdict covers such a state or step") from None
     except Unusable as error:
         raise Failure(
             INCONCLUSIVE, f"{name} cannot be run: {error}", "report the file together with its program"
@@ -150,7 +150,7 @@ def again(options: Namespace) -> int:
 
 
 def _shown(program: Program, trial: Trial, followed: Followed) -> Iterator[str]:
-    """The state, the steps and what each changes, which part of the invariant is false."""
+    """Yield the state, the steps with their changes, and the conjunct of the invariant that is false."""
     from koordgen.verify.prove.report.model import failing_conjunct
     from koordgen.verify.prove.report.reach import RunState
     from koordgen.verify.prove.report.table import failed_lines, run_state_lines

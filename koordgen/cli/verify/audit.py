@@ -1,4 +1,4 @@
-"""`koordgen audit`: what is asked, what is printed, and the exit status."""
+"""`koordgen audit`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from koordgen.verify.audit.story import Mission, mission
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
-QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has
+QUERY, ALL_QUERIES = 10.0, 60.0  # seconds for one query of the solver, and for all
 
 
 def audit(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     if options.plot and Path(options.plot).suffix not in PICTURES:
         raise Failure(USAGE, f"--plot {options.plot}: a name that ends in {', '.join(PICTURES)} is expected")
     try:
@@ -44,7 +44,7 @@ def audit(options: Namespace) -> int:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     except RecursionError:
         raise Failure(
-            WRONG, "values in these traces are nested too deeply", "no robot of koordgen's writes such"
+            WRONG, "values in these traces are nested too deeply", "robots of koordgen never write such traces"
         ) from None
     blames = [] if ended else blame.blames(program, judged)
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
@@ -64,8 +64,8 @@ def audit(options: Namespace) -> int:
 def _judged(
     program: Program, functions: Path | None, whole: Mission, seconds: float | None
 ) -> tuple[list[Finding], str]:
-    """The findings, and why they are not of the whole mission; empty where they are. Of the last round that was begun
-    nothing is counted, but a violation is."""
+    """Return the results, and why they do not cover the whole mission; empty if they do. Of the last round that was
+    begun only a violation is counted."""
     line, judge, reached, ended = Line(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
 
     def progress(round_: int, last: int) -> None:
@@ -94,7 +94,7 @@ def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:
 
 
 def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
-    """What the prover says of the program as it was flown, of any number of robots."""
+    """Return the prover's verdicts on the program with the params of the flight, for any number of robots."""
     from koordgen.verify.prove.report.verdict import Question, prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 

@@ -1,4 +1,4 @@
-"""`koordgen explore`: what is asked, what is printed, and the exit status."""
+"""`koordgen explore`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from koordgen.verify.explore.show import document, itf, progress_text, report, t
 from koordgen.verify.prove.report.trace import About
 from koordgen.verify.replay.functions import CannotCall, externs
 
-ROBOTS = 3  # where neither --robots nor a fleet says how many
-MORE = 10_000  # states, or as many as there are, that are looked at for a run that agents can do
+ROBOTS = 3  # default, if neither --robots nor a fleet file names a number
+MORE = 10_000  # states that are at least explored in search of a run that agents can execute
 
 
 def explore(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     checked = check_file(options.program)
     if options.format == "text":
         tell([(checked.source, d) for d in checked.noticed], options)
@@ -64,7 +64,7 @@ def explore(options: Namespace) -> int:
     else:
         sys.stdout.write(coloured_verdicts(report(result, program, options.program, robots), sys.stdout))
         sys.stdout.flush()
-    if result.violation is not None:  # told before: a file that cannot be written costs nothing of a long search
+    if result.violation is not None:  # the result is printed first: a failed write loses nothing of a long search
         if options.trace:
             about = _about(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
@@ -74,7 +74,7 @@ def explore(options: Namespace) -> int:
 
 
 def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
-    """What a run that was found was made with."""
+    """Return the origin of a run that was found."""
     hashed, functions = hash_of(program, options.program, options.functions)
     return About(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
 
@@ -128,8 +128,8 @@ def _searched(
 
 
 def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
-    """How far a run is looked for among those that agents can do. What is one round of the language may take one of
-    theirs for each robot: they commit one transaction for each lock in a round."""
+    """Return the bounds of the search for a run that agents can execute. One round of the language may take one agents'
+    round for each robot, since agents commit one transaction per lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
     rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
@@ -137,9 +137,8 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
 
 
 def _of_agents(found: FoundViolation, program: Program, about: About, seconds: float | None) -> bool:
-    """Return whether agents can do each round of a run; an event without a result is a part of it. Where that takes
-    more than
-    `seconds` to find out, the answer is False."""
+    """Return whether agents can execute each round of a run, including an event without a result. False if that takes
+    more than `seconds` to find out."""
     run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)
     try:
         with alarm(seconds):
@@ -149,7 +148,7 @@ def _of_agents(found: FoundViolation, program: Program, about: About, seconds: f
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:
-    """How many robots, and the values of params that a fleet file gives."""
+    """Return the number of robots, and the params in a fleet file."""
     if options.fleet is None:
         return options.robots or ROBOTS, {}
     targets = {name: manifest.load(name) for name in manifest.available()}

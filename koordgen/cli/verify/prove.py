@@ -1,4 +1,4 @@
-"""`koordgen prove`: what is asked, what is printed, and the exit status."""
+"""`koordgen prove`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-ALL_QUERIES = 60.0  # seconds, at least
+ALL_QUERIES = 60.0  # least number of seconds for all queries
 
 
 def run(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
     if options.attack_from is not None:
@@ -47,19 +47,19 @@ def run(options: Namespace) -> int:
     limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
-            solver.start()  # it loads while the compiler does, and the program is checked
+            solver.start()  # it loads while the compiler is imported and the program checked
             return proved(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
 
 
 def _total(options: Namespace) -> float:
-    """Seconds for the command: all queries, and what is made for them."""
+    """Return the seconds for the whole command: all queries and their preparation."""
     return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
 def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
-    """Checks, writes and tells what was asked for. Raises SolverMissing."""
+    """Check the program, prove it, and print or write what the options name. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file, fleet_params
     from koordgen.cli.verify.attack import attacked
 
@@ -70,7 +70,7 @@ def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
     question = fixed(checked.program, given)
     found = asked(checked.program, question, options.robots, solver, _total(options))
     attacks = attacked(checked.program, question, found, solver, options)
-    solver.stop()  # what it holds is freed while we tell
+    solver.stop()  # its memory is freed while this process prints
     tell_verdicts(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
@@ -79,14 +79,14 @@ def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
         if made:
             save(options.trace, made)
         else:
-            say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
+            say(f"note: there is no counterexample, so no trace was written to {options.trace}")
     return status(found)
 
 
 def asked(
     program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
 ) -> list[list[InvariantVerdict]]:
-    """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
+    """Return the verdicts for each number of robots, within `seconds` in all. Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm
     from koordgen.lang.semantics.deadline import OutOfTime
     from koordgen.verify.prove.report.verdict import Question, prove
@@ -98,13 +98,13 @@ def asked(
             with alarm(max(0.0, until - time.monotonic())):
                 found.append(prove(Question(program, n, params), solver))
         except OutOfTime:
-            reason = f"the command's {seconds:g} s are over: a longer --timeout makes them more"
+            reason = f"the {seconds:g} s of the command are used up; try a longer --timeout"
             found.append(undecided(program, n, reason))
     return found
 
 
 def undecided(program: Program, robots: int | None, reason: str) -> list[InvariantVerdict]:
-    """UNKNOWN of every invariant: the proof as a whole was given up."""
+    """Return UNKNOWN for every invariant, because the whole proof was given up."""
     from koordgen.verify.prove.report.verdict import InvariantVerdict
 
     names = [p.name for p in program.properties if p.kind == "invariant"]
@@ -112,7 +112,7 @@ def undecided(program: Program, robots: int | None, reason: str) -> list[Invaria
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
-    """The params that have a value, as constants; the others may have any. Raises Failure."""
+    """Return the params that have a value, as constants. The others are arbitrary. Raises Failure."""
     if not given:
         return {}
     from koordgen.lang.check.sections.params import BadParam, with_params
@@ -124,7 +124,7 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
 
 
 def status(found: list[list[InvariantVerdict]]) -> int:
-    """The worst of all verdicts: a violation before what is not known."""
+    """Return the exit status of the worst verdict: a violation is worse than an unknown result."""
     said = {verdict.verdict for verdicts in found for verdict in verdicts}
     if "UNSOUND" in said:
         return INTERNAL
@@ -153,8 +153,8 @@ def files(
     robots: list[int | None],
     found: list[list[InvariantVerdict]],
 ) -> dict[str, bytes]:
-    """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last, with
-    the names of all cells."""
+    """Return the files of `--emit`, for all requested numbers of robots: each obligation as it was asked last, with the
+    names of all cells."""
     from koordgen.lang.node import replace
     from koordgen.verify.prove.obligations.generate import obligations
     from koordgen.verify.prove.smt.emit import folder
@@ -168,7 +168,7 @@ def files(
 
 
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
-    """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
+    """Return the trace of a counterexample, preferably of one that is a run; empty if there is none."""
     from koordgen.lang.check.sections.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
@@ -184,16 +184,16 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     values = {}
     try:
         for p in program.params:
-            near = taken(plain_value(state.params[p.name]), p.type, nearest)  # as robots have it
+            near = taken(plain_value(state.params[p.name]), p.type, nearest)  # rounded to robots' floats
             values[p.name] = as_given(plain(near), p.type)
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
-    except (BadParam, BadValue):  # numbers that robots do not have
+    except (BadParam, BadValue):  # numbers that no robot can represent
         hashed = ""
     return trace(program, first, About(hashed, tuple(p.name for p in program.params)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:
-    """The hash of a program in a file, as its bundles have it, and the file of its extern functions."""
+    """Return the hash of a program, equal to that of its bundles, and the file of its extern functions."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import functions_file
@@ -204,7 +204,7 @@ def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Pa
 
 
 def emit(folder: str, files: dict[str, bytes]) -> None:
-    """Writes the folder, whole or not at all; what is not koordgen's stays."""
+    """Write the folder completely or not at all. Files that are not koordgen's are kept."""
     from pathlib import Path
 
     from koordgen.build.bundle.write import SUMS, CannotWrite, sums, write
@@ -217,7 +217,7 @@ def emit(folder: str, files: dict[str, bytes]) -> None:
 
 
 def save(path: str, text: str) -> None:
-    """A file that was asked for by name. Raises Failure."""
+    """Write a file that the user named. Raises Failure."""
     try:
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)

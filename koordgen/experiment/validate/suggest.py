@@ -26,8 +26,8 @@ MOST_SAID = 140  # longest reason in characters
 
 @dataclass(frozen=True)
 class Proved:
-    """Verdict of an invariant under some assumption. `closing`: what else would prove it, or why it is not proved; empty
-    if neither is known."""
+    """Verdict of an invariant under some assumption. `closing`: what else would prove it, or why it is not proved;
+    empty if neither is known."""
 
     invariant: str
     verdict: str

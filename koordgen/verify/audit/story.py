@@ -139,9 +139,7 @@ def mission(logs: Sequence[Log]) -> Mission:
     notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
     left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
-    notes += [
-        f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()
-    ]
+    notes += [f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()]
     stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
         if life.mission in (chosen, ""):

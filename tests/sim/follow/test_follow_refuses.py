@@ -46,7 +46,7 @@ def test_another_version_of_the_program(tmp_path: Path) -> None:
     assert follow(app, fleet(tmp_path, 2), trace).status == 3  # it means the same
     app.write_text(LOST.replace("added += 1", "added += 2"))
     said = refused(tmp_path, trace)
-    assert f"is of a program with the hash {its}; " in said and "look for the counterexample anew" in said
+    assert f"is of a program with the hash {its}; " in said and "search for the counterexample again" in said
 
 
 def test_another_number_of_robots(tmp_path: Path) -> None:
@@ -61,8 +61,8 @@ def test_params_come_from_the_trace_unless_the_fleet_has_others(tmp_path: Path) 
     assert follow(app, fleet(tmp_path, 2), trace).status == 3
     assert follow(app, fleet(tmp_path, 2, "params: {most: 3, away: [1, 2, 3]}\n"), trace, out="again").status == 3
     done = follow(app, fleet(tmp_path, 2, "params: {most: 1}\n"), trace)
-    assert done.status == 1 and "param most is 3 in it, and 1 here" in done.said and "--fleet" in done.said
-    assert "param most is 3 in it, and 4 here" in refused(tmp_path, trace, more=("--param", "most=4"))
+    assert done.status == 1 and "param most is 3 in the trace, but 1 here" in done.said and "--fleet" in done.said
+    assert "param most is 3 in the trace, but 4 here" in refused(tmp_path, trace, more=("--param", "most=4"))
 
 
 def test_numbers_that_robots_do_not_have(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_a_trace_that_is_cut_off_is_followed_as_far_as_it_goes(tmp_path: Path) -
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace, out="again")
     assert done.status == 0 and done.said.endswith("cx.jsonl:8: the trace is cut off here"), done
     trace.write_text("".join(lines[:1]))
-    assert "there is no whole step in it" in refused(tmp_path, trace)
+    assert "it contains no complete step" in refused(tmp_path, trace)
 
 
 def test_what_was_changed_by_hand(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_other_files(tmp_path: Path) -> None:
         ("", "no header of format"), ("{}\n", "no header"), ("[1]\n", "no record"),
         ("{" * 5000 + "\n", "no line of JSON"),
         ("\x7fELF\x02\n", ":1: no line of JSON, as traces have them"), ("\udc80\x00\n\x00", ":1: no line of JSON"),
-        ('{"kind": "header", "format": "koord-trace/1"}\n', "no counterexample's trace"),
+        ('{"kind": "header", "format": "koord-trace/1"}\n', "not the trace of a counterexample"),
         ('{"kind": "header", "format": "koord-trace/1", "counterexample": "run"}\n', "a broken header"),
     ):  # fmt: skip
         other = tmp_path / "other.jsonl"

@@ -294,7 +294,7 @@ class _Runs:
         self.run_states: list[str] = []
 
     def run(self, length: int) -> None:
-        """One run of so many rounds, or fewer where the environment cannot go on. Raises _Broken, MissingEnvironment."""
+        """Run `length` rounds, or fewer if the environment cannot go on. Raises _Broken, MissingEnvironment."""
         self.run_states = []
         state = self.begun()
         if state is None:
