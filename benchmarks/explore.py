@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures import spin
 from koordgen.build.pipeline import check_file, read_source
-from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, possible_answers
 from koordgen.verify.explore.environment_file import environment

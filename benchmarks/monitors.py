@@ -28,7 +28,7 @@ from benchmarks.fixtures.fleet import Fleet, Robot, settings
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
 from koordgen.build.pipeline import check_file
-from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.monitor.monitor import Monitors
 from koordgen.runtime.net.network import Conditions

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, in_order, together
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.stmt import LoopInvariant
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
     from koordgen.fleet.offered import Driver, Known
-    from koordgen.lang.check.sections.params import Value
+    from koordgen.lang.analyze.params import Value
 
 
 class Rejected(Exception):
@@ -106,7 +106,7 @@ def plan_file(
     from koordgen.build.bundle.plan import plan, read_ingredients
     from koordgen.fleet import manifest
     from koordgen.lang import resources
-    from koordgen.lang.check.sections.params import with_params
+    from koordgen.lang.analyze.params import with_params
 
     checked = check_file(path)
     fleet: Fleet | None = None
@@ -259,7 +259,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:
-    from koordgen.lang.check.sections.params import BadParam, with_params
+    from koordgen.lang.analyze.params import BadParam, with_params
 
     def misfit(value: Value) -> str:
         try:

@@ -144,7 +144,7 @@ def _harness(options: Namespace) -> int:
 
 def _fmt(options: Namespace) -> int:
     from koordgen.build.pipeline import Rejected
-    from koordgen.lang.check.sections.program import check
+    from koordgen.lang.analyze.program import check
     from koordgen.lang.format.files import format_file, output
 
     dry = options.check or options.diff

@@ -16,7 +16,7 @@ from koordgen.build.bundle.plan import PARAMS, SOURCE, store_facts
 from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import Rejected, check_file
 from koordgen.fleet.file import Fleet
-from koordgen.lang.check.sections.params import BadParam, with_params
+from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.reading import found, opened

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
 from koordgen.lang.ir.tree import walk

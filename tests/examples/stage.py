@@ -14,7 +14,7 @@ from typing import Any
 from koordgen.build.pipeline import check_file, read_fleet
 from koordgen.fleet import manifest
 from koordgen.fleet.file import Fleet
-from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning, Writes

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.lang.ir.printer import show
 from koordgen.lang.ir.verify import verify

@@ -11,7 +11,7 @@ import pytest
 from koordgen import cli
 from koordgen.build.pipeline import check_file, read_fleet
 from koordgen.fleet.file import Fleet
-from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.operate.basestation import all_targets
 from koordgen.operate.run_folder import flown, write_trace

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Collection, Mapping
 
-    from koordgen.lang.check.sections.params import Value
+    from koordgen.lang.analyze.params import Value
 
 
 def target_names(text: str) -> list[str]:
@@ -51,7 +51,7 @@ def planned(
     """
     from koordgen.build.pipeline import plan_file
     from koordgen.fleet.manifest import ManifestError
-    from koordgen.lang.check.sections.params import BadParam
+    from koordgen.lang.analyze.params import BadParam
 
     try:
         given = {**more, **params(options.param)}
@@ -71,7 +71,7 @@ def planned(
 def params(given: list[str]) -> dict[str, Value]:
     if not given:
         return {}
-    from koordgen.lang.check.sections.params import BadParam, parse_value
+    from koordgen.lang.analyze.params import BadParam, parse_value
 
     values = {}
     for text in given:

@@ -19,7 +19,7 @@ def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Prog
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.program import program_hash as hashed
     from koordgen.build.pipeline import check_file, fleet_params
-    from koordgen.lang.check.sections.params import BadParam, with_params
+    from koordgen.lang.analyze.params import BadParam, with_params
     from koordgen.lang.ir.verify import verify
 
     place, beside = _place(options, trace)

@@ -126,7 +126,7 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
 
     def build(params: Mapping[str, str], folder: Path) -> None:
         from koordgen.build.pipeline import plan_file
-        from koordgen.lang.check.sections.params import BadParam
+        from koordgen.lang.analyze.params import BadParam
 
         given = building.params([*options.param, *(f"{name}={value}" for name, value in params.items())])
         try:

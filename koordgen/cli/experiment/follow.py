@@ -11,7 +11,7 @@ from koordgen.build.pipeline import check_file, read_fleet
 from koordgen.cli.base.building import params
 from koordgen.cli.base.console import INCONCLUSIVE, USAGE, WRONG, Failure
 from koordgen.cli.verify.prove import hash_of
-from koordgen.lang.check.sections.params import BadParam, Value, as_given, with_params
+from koordgen.lang.analyze.params import BadParam, Value, as_given, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.trace.schema import BadTrace

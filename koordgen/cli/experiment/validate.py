@@ -27,7 +27,7 @@ from koordgen.experiment.validate.reach import Asked, comparisons, reachsets, wr
 from koordgen.experiment.validate.suggest import Suggestion, suggestions
 from koordgen.experiment.validate.verdict import Bound, Case, Verdict, verdicts
 from koordgen.fleet import manifest
-from koordgen.lang.check.sections.params import Value
+from koordgen.lang.analyze.params import Value
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 

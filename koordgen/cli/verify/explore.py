@@ -18,7 +18,7 @@ from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, V
 from koordgen.cli.base.terminal import Line, coloured_verdicts
 from koordgen.cli.verify.prove import hash_of, save
 from koordgen.fleet import manifest
-from koordgen.lang.check.sections.params import BadParam, with_params
+from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from koordgen.lang.check.sections.params import Value
+    from koordgen.lang.analyze.params import Value
     from koordgen.lang.ir.decl import Program
     from koordgen.lang.ir.expr import Expr
     from koordgen.lang.source import Source
@@ -115,7 +115,7 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
     """Return the params that have a value, as constants. The others are arbitrary. Raises Failure."""
     if not given:
         return {}
-    from koordgen.lang.check.sections.params import BadParam, with_params
+    from koordgen.lang.analyze.params import BadParam, with_params
 
     try:
         return {p.name: p.default for p in with_params(program, given).params if p.name in given}
@@ -169,7 +169,7 @@ def files(
 
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
     """Return the trace of a counterexample, preferably of one that is a run; empty if there is none."""
-    from koordgen.lang.check.sections.params import BadParam, as_given, with_params
+    from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
     from koordgen.verify.prove.report.trace import About, trace

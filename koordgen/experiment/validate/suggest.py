@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from textwrap import shorten
 
 from koordgen.experiment.validate.samples import Sample, margin
-from koordgen.lang.check.sections.params import Value, with_params
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.params import Value, with_params
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk

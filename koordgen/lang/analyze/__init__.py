@@ -1,6 +1,6 @@
-"""Analysis: facts that hold at a point of an event, decided without running it.
+"""Second check: the analysis of the IR, which knows what holds at each point without running the program.
 
-Owns: linear terms over integers, conditions on the way to a point, loops by induction.
-Offers: `decide`, `facts`, `path` and their like to `check`.
-Must not import: `check`.
+Owns: `facts`, what is decided at a point; `rules`, one file each, with its explanation beside it; the walk.
+Offers: `program.check`, both checks of a program; `params.with_params`.
+Must not import: any module of `check` but the way in; format, or any room outside of `lang`.
 """

@@ -1,6 +1,6 @@
-"""Checks: syntax tree to IR.
+"""First check: names and types, syntax tree to IR with drafts (see `ir.draft`).
 
-Owns: names, types, ownership, bounds; the context of a check. `expressions`, `statements` and `sections` build on it.
-Offers: `sections.program.check`, `sections.params`.
-Must not import: format, or any room outside of `lang`.
+Owns: names, types, and what may be read and written where; nothing that depends on the way to a statement.
+Offers: `sections.program.resolve` to `analyze`.
+Must not import: analyze, format, or any room outside of `lang`.
 """

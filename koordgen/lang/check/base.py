@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeGuard
 
 from koordgen.lang.check.context import Context
@@ -45,7 +45,7 @@ def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
     checked = CHECKERS[type(node)](node, c, None)
     if checked.type is BOOL or checked.type is POISON:
         return checked
-    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c))
+    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c), (), checked)
 
 
 def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
@@ -58,6 +58,11 @@ def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
     if type_ == STRING:
         return f"compare it: '{text} {op} \"\"'"
     return "compare it with '=='"
+
+
+def is_poisoned(parts: Iterable[ir.Expr]) -> bool:
+    """Return whether there is an error in one of several expressions."""
+    return any(part.type is POISON for part in parts)
 
 
 def same(first: Type, second: Type) -> bool:
@@ -109,7 +114,7 @@ def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
         help = as_bool(value, c)
     elif type_ in NUMBERS and found is BOOL:
         help = f"write '1 if {c.text(value.span)} else 0'"
-    return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help)
+    return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help, (), value)
 
 
 def per_robot(value: ir.Expr, c: Context) -> ir.Expr:

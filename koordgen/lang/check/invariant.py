@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from koordgen.lang.check.base import check_expr, condition
-from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out, learn
+from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
@@ -35,24 +35,18 @@ def check_invariants(
     of the loop that no invariant may read, `own` those that begin with the loop and have no old value."""
     if not written:
         return ()
-    poisoned, shared, path = c.poisoned, set(c.read_shared), c.path
     around = c.entry
     begun = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
     c.entry = Entry(begun)
-    c.poisoned = True  # what has no value is reported by monitors: indices and divisors are not judged
     found = [stmt.LoopInvariant(condition(node.condition, c, "a loop invariant"), node.span) for node in written]
-    lets = list(c.entry.values.values())
-    c.poisoned, c.path, c.entry = poisoned, path, around
-    if not c.transaction:
-        c.read_shared = shared  # what an invariant reads goes into no write
-    for let in lets:
-        learn(stmt.TempPlace(let.name), let.value, c)
-    out.extend(lets)
-    wrong = [node for invariant in found for node in _elements(invariant.formula, hidden)]
+    out.extend(c.entry.values.values())
+    c.entry = around
+    right = [invariant for invariant in found if invariant.formula.type is BOOL]
+    wrong = [node for invariant in right for node in _elements(invariant.formula, hidden)]
     for node in wrong:
         text = c.text(node.span)
         c.error("K058", f"a loop invariant cannot read {text}, the loop's element", node.span, _LEAST)
-    return tuple([i for i in found if i.formula.type is BOOL and not any(_elements(i.formula, hidden))])
+    return tuple([invariant for invariant in right if not any(_elements(invariant.formula, hidden))])
 
 
 def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead]:

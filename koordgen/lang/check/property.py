@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from koordgen.lang.analyze.walk import parts
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
 from koordgen.lang.check.names import unique
@@ -13,6 +12,7 @@ from koordgen.lang.ir.types import GRID, POINT, Type, list_of
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
+from koordgen.lang.syntax.walk import parts
 
 _HANDED = (POINT, list_of(GRID))  # to a PathPlanner
 

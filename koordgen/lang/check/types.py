@@ -7,7 +7,6 @@ from typing import assert_never
 
 from koordgen.lang.check.base import a
 from koordgen.lang.check.context import Context
-from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import (
     GENERIC,
     LOCAL_BYTES,
@@ -20,7 +19,6 @@ from koordgen.lang.ir.types import (
     SHARED_ELEMENTS,
     STREAM,
     MapOf,
-    RecordType,
     Sequence,
     Sized,
     TupleOf,
@@ -208,31 +206,3 @@ def _sized(type_: Type, given: Iterator[int] | None) -> Type:
             return TupleOf(tuple([_sized(item, given) for item in items]))
         case _:
             return type_
-
-
-def excess(value: ir.Expr, type_: Type) -> str:
-    """What of a constant does not fit in its variable, in words; empty when all fits, as far as one sees."""
-    match value, type_:
-        case ir.Const(str(text)), Sized(_, capacity) if len(text.encode()) > capacity:
-            return f"{len(text.encode())} bytes, and at most {capacity} fit"
-        case ir.Make(items), Sequence(_, _, capacity) | MapOf(_, _, capacity) if len(items) > capacity:
-            return f"{len(items)} elements, and at most {capacity} fit"
-        case ir.Make(items), _:
-            pairs = zip(items, _parts(type_, len(items)), strict=False)
-            return next((found for item, part in pairs if (found := excess(item, part))), "")
-        case _:
-            return ""
-
-
-def _parts(type_: Type, count: int) -> tuple[Type, ...]:
-    match type_:
-        case Sequence(_, element):
-            return (element,) * count
-        case MapOf(key, value):
-            return (TupleOf((key, value)),) * count
-        case TupleOf(items):
-            return items
-        case RecordType(_, fields):
-            return tuple([field for _, field in fields])
-        case _:
-            return ()

@@ -1,6 +1,7 @@
 """Explanations: each diagnostic code at length, with tested examples.
 
-Owns: the pages beside this file, one for each letter of codes, and `topics.md`.
+Owns: the pages beside this file, one for each letter of codes, and `topics.md`. The pages of codes that the analysis
+reports stand beside its rules.
 Offers: `explanation`, `topic`, `show`.
 Must not import: syntax, or any room above it.
 """
@@ -14,6 +15,7 @@ from koordgen.lang.diagnostics import CATALOGUE, InternalError
 from koordgen.lang.node import Node
 
 _FENCE = "```"
+_RULES = Path(__file__).parents[1] / "analyze" / "rules"
 
 
 class Explanation(Node):
@@ -79,6 +81,8 @@ def _listing(part: str) -> str:
 
 @cache
 def _sections(name: str) -> dict[str, str]:
-    text = Path(__file__).with_name(f"{name}.md").read_text(encoding="utf-8")
-    sections = (section.partition("\n") for section in text.split("\n## ")[1:])
+    """Return the sections of a page, and for K also those of the pages beside the rules of the analysis."""
+    pages = [Path(__file__).with_name(f"{name}.md"), *(sorted(_RULES.glob("*.md")) if name == "K" else ())]
+    texts = [page.read_text(encoding="utf-8") for page in pages]
+    sections = (section.partition("\n") for text in texts for section in text.split("\n## ")[1:])
     return {code: body.strip("\n") for code, _, body in sections}

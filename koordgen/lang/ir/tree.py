@@ -11,11 +11,11 @@ Which fields of a class have children is read from their annotations, once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from typing import Any, TypeVar, assert_never
 
-from koordgen.lang.ir import stmt
+from koordgen.lang.ir import draft, stmt
 from koordgen.lang.node import Node, replace
 
 Part = Node | tuple["Part", ...]  # a node, or a tuple of such: a block, formulas, a guard and its effect
@@ -45,12 +45,14 @@ def walk(part: Part) -> Iterator[Node]:
                 pending += below[::-1]
 
 
-def statements(block: stmt.Block) -> Iterator[stmt.Stmt]:
+def statements(block: Sequence[draft.Draft]) -> Iterator[stmt.Stmt]:
     """Yield the statements of a block, each before those of its own blocks, in the order of the text. No expression is
-    gone into."""
+    gone into. Drafts are left out."""
     pending = list(block[::-1])
     while pending:
         statement = pending.pop()
+        if isinstance(statement, (draft.Atomic, draft.Unread, draft.Wrong)):
+            continue
         yield statement
         match statement:
             case stmt.If(_, then, orelse):

@@ -9,7 +9,7 @@ from itertools import product
 from typing import Any
 
 from koordgen.fleet.located import Reader, Report, YamlNode
-from koordgen.lang.check.sections.params import BadParam, with_params
+from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Const
 from koordgen.lang.ir.ports import position_beside

@@ -20,7 +20,7 @@ from koordgen.build.bundle.budget import (
     store_bytes,
 )
 from koordgen.build.emit.program import WIRE_FORMAT, program_text
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse

@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from koordgen.build.emit.program import program_text
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program as IR
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.source import Source

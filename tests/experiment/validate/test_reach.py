@@ -73,7 +73,7 @@ def test_the_program_is_a_good_one(tmp_path: Path, target: str) -> None:
 
 @pytest.mark.parametrize(
     ("changed", "said"),
-    [({"offset": (0.0, 0.0, 2.0)}, "leads nowhere"), ({"robots": 0}, "1 to 100"), ({"robots": 101}, "1 to 100")],
+    [({"offset": (0.0, 0.0, 2.0)}, "is zero in x and y"), ({"robots": 0}, "1 to 100"), ({"robots": 101}, "1 to 100")],
 )
 def test_what_cannot_be_probed_is_told(platforms: dict[str, probe.Platform], changed: dict, said: str) -> None:  # type: ignore[type-arg]
     asked = Probe(platforms["quad full"], (1.0, 0.0, 0.0), count=20, seconds=5.0)

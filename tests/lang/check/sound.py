@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse

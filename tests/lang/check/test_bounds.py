@@ -7,7 +7,7 @@ import re
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.step import initial, round_

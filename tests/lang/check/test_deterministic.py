@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
 SHOW = """
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import to_json, together
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse

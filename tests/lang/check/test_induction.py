@@ -7,10 +7,10 @@ from random import Random
 
 import pytest
 
-from koordgen.lang.analyze import induction
-from koordgen.lang.analyze.flow import Flow
-from koordgen.lang.analyze.induction import Candidate, Turns
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.facts import induction
+from koordgen.lang.analyze.facts.flow import Flow
+from koordgen.lang.analyze.facts.induction import Candidate, Turns
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
@@ -189,7 +189,7 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
 )
 def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(induction, name, fault)
-    monkeypatch.setattr("koordgen.lang.check.statements.loop.kept", induction.kept)
+    monkeypatch.setattr("koordgen.lang.analyze.statements.kept", induction.kept)
     assert not all(reported(block) for block in OPEN.values())
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.decide import find, unsat
-from koordgen.lang.analyze.linear import (
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import find, unsat
+from koordgen.lang.analyze.facts.linear import (
     FALSE,
     N_SYS,
     PID,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.lang.check.sections import params
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze import params
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.printer import show
 from koordgen.lang.ir.verify import verify

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.step import initial, round_
 from koordgen.lang.source import Source

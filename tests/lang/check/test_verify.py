@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from koordgen.lang.analyze.program import check
+from koordgen.lang.check.sections.program import resolve
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.types import (
@@ -24,7 +26,8 @@ from koordgen.lang.ir.types import (
 )
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.node import replace
-from koordgen.lang.source import Span
+from koordgen.lang.source import Source, Span
+from koordgen.lang.syntax.parse import parse
 from tests.lang.check.sound import SOUND
 
 AT = Span(3, 1, 3, 2)
@@ -237,3 +240,15 @@ def in_blocks(*blocks: int | None) -> decl.Program:
     first = SOUND.events[0]
     events = [replace(first, name=f"E{number}", priority=block) for number, block in enumerate(blocks)]
     return replace(SOUND, events=tuple(events))
+
+
+@pytest.mark.parametrize("effect", ["atomic:\n      n += 1", "for i in ID:\n      if i == pid: x[i] = 3"])
+def test_a_program_of_drafts_is_refused(effect: str) -> None:
+    text = f"allread: int x[N_SYS]\nallwrite: int n\nGo:\n  pre: n > 2\n  eff:\n    {effect}\n"
+    source = Source("draft.koord", text)
+    tree, _ = parse(source)
+    with pytest.raises(AssertionError):
+        verify(resolve(tree, source).program)
+    program, _ = check(tree, source)
+    assert program is not None
+    verify(program)

@@ -21,7 +21,7 @@ from koordgen.fleet import manifest
 from koordgen.fleet.medium import Link
 from koordgen.fleet.offered import Driver
 from koordgen.lang import explain
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.lang.explain import Explanation, explanation, show
 from koordgen.lang.ir.decl import Program
@@ -29,6 +29,7 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 
 FOLDER = Path(explain.__file__).parent
+RULES = FOLDER.parent / "analyze" / "rules"
 
 
 def codes(*letters: str) -> list[str]:
@@ -48,12 +49,35 @@ def examples(found: Explanation) -> Iterator[tuple[str, str, set[str]]]:
     yield found.right_note, found.right, set()
 
 
+def headings(path: Path) -> list[str]:
+    return re.findall(r"^## (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+
+
 def test_the_files_hold_the_catalogue_in_its_order_and_no_titles() -> None:
-    headed = []
-    for letter in "KFB":
-        text = (FOLDER / f"{letter}.md").read_text(encoding="utf-8")
-        headed += re.findall(r"^## (.*)$", text, re.MULTILINE)
-    assert headed == list(CATALOGUE)
+    pages = [headings(path) for path in (*(FOLDER / f"{letter}.md" for letter in "KFB"), *RULES.glob("*.md"))]
+    order = {code: place for place, code in enumerate(CATALOGUE)}
+    assert sorted([code for page in pages for code in page], key=order.__getitem__) == list(CATALOGUE)
+    for page in pages:
+        assert page == sorted(page, key=order.__getitem__)
+
+
+def test_a_rule_of_the_analysis_has_one_file_with_its_explanation_beside_it() -> None:
+    """A code that a rule's page explains is reported by that rule, or is named in the first line of another's."""
+    first = {path.stem: path.read_text(encoding="utf-8").split("\n")[0] for path in RULES.glob("*.py")}
+    reported = {path.stem: codes_in(path) for path in RULES.glob("*.py")}
+    for page in RULES.glob("*.md"):
+        assert set(headings(page)) <= set(re.findall(r"K\d{3}", first[page.stem])), page
+    for name, found in reported.items():
+        assert found <= set(re.findall(r"K\d{3}", first[name])), f"{name}.py: its first line names its codes"
+    explained = {code for page in RULES.glob("*.md") for code in headings(page)}
+    for path in (RULES.parents[1] / "check").rglob("*.py"):
+        # K030: an index of a tuple, which is a matter of types
+        assert not codes_in(path) & explained - {"K030"}, f"{path}: a rule of the analysis reports this code"
+
+
+def codes_in(path: Path) -> set[str]:
+    """Return the codes that a module reports: the strings of that form in it, but for its docstrings and comments."""
+    return set(re.findall(r'"(K\d{3})"', path.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("code", CATALOGUE)

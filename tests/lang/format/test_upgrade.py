@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.cli import main
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, Edit, InternalError
 from koordgen.lang.format.upgrade import Checker, applied, compatible, upgraded
 from koordgen.lang.source import Source, Span

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from koordgen.build.pipeline import check_file
-from koordgen.lang.ir import decl, expr, stmt, types
+from koordgen.lang.ir import decl, draft, expr, stmt, types
 from koordgen.lang.ir.tree import child_fields, children, map_children, statements, transform, walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, list_of
 from koordgen.lang.ir.verify_expr import _READERS as verifier
@@ -100,6 +100,14 @@ def kitchen() -> decl.Program:
 def test_the_fields_with_children_of_every_class() -> None:
     assert FIELDS.keys() | LEAVES == ir_classes()
     assert {kind: child_fields(kind) for kind in ir_classes()} == {**FIELDS, **dict.fromkeys(LEAVES, ())}
+
+
+def test_drafts_have_children_and_are_no_statements() -> None:
+    index, stop = expr.Pid(INT, AT), stmt.Stop(AT)
+    assert [child_fields(k) for k in (draft.SlotPlace, draft.Atomic, draft.Unread)] == [("index",), (), ()]
+    assert children(draft.Wrong((index,), AT)) == (index,)
+    block: tuple[draft.Draft, ...] = (draft.Atomic(AT), draft.Unread(AT), stop, draft.Wrong((index,), AT))
+    assert list(statements(block)) == [stop]
 
 
 def test_children_stand_in_the_order_of_the_fields() -> None:

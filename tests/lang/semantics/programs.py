@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.semantics.exec import Writes

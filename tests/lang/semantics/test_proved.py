@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.semantics import exec

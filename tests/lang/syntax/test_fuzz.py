@@ -164,7 +164,7 @@ def feed(text: str) -> str:
 
 def built(tree: Program, source: Source, found: list[Diagnostic]) -> str:
     from koordgen.build.emit.program import program_text
-    from koordgen.lang.check.sections.program import check
+    from koordgen.lang.analyze.program import check
     from koordgen.lang.ir.verify import verify
 
     program, more = check(tree, source)

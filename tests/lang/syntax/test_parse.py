@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import render, to_json
 from koordgen.lang.ir.printer import show
 from koordgen.lang.ir.verify import verify
@@ -214,7 +214,7 @@ def test_tables_do_not_depend_on_the_hash_seed() -> None:
 def test_checking_needs_neither_the_grammar_nor_heavy_imports() -> None:
     code = (
         "import sys\nfrom koordgen.lang.source import Source\nfrom koordgen.lang.syntax.parse import parse\n"
-        "from koordgen.lang.check.sections.program import check\nsource = Source('t', open(sys.argv[1]).read())\n"
+        "from koordgen.lang.analyze.program import check\nsource = Source('t', open(sys.argv[1]).read())\n"
         "assert check(parse(source)[0], source)[0]\n"
         "print(sorted({'lark', 'dataclasses', 'inspect', 'json', 'pathlib', 'difflib', 'jinja2'} & set(sys.modules)))"
     )

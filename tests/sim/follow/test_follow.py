@@ -204,7 +204,7 @@ def test_what_only_exact_numbers_do_is_not_followed(tmp_path: Path) -> None:
     """49 times the float nearest to 1/49 is not 1."""
     trace = found(tmp_path, STATE.replace("PARTS", "49.0"), 2, command="prove")
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
-    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not come" in done.said
+    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not lead" in done.said
 
 
 def test_what_comes_of_a_rounded_number_agrees_up_to_rounding() -> None:
@@ -268,7 +268,7 @@ def follow_random(folder: Path, seed: int, robots: int, rounds: int) -> str:
     trace = random_run(folder, seed, robots, rounds)
     done = follow(folder / "app.koord", fleet(folder, robots, SERVED), trace)
     if done.status == 4:
-        assert "no rounds of agents come to what the trace says" in done.said
+        assert "no rounds of agents lead to the state in the trace" in done.said
         return "another order"
     assert done.status == 0 and "which did the same" in done.said, done
     replays(done.folder)

@@ -87,7 +87,7 @@ def test_a_trace_that_is_cut_off_is_followed_as_far_as_it_goes(tmp_path: Path) -
 def test_what_was_changed_by_hand(tmp_path: Path) -> None:
     trace = found(tmp_path, LOST, 2)
     changed(trace, lambda lines: lines[8]["shared"].update(added=7))  # what the whole round led to
-    assert "no rounds of agents come to what the trace says" in refused(tmp_path, trace)
+    assert "no rounds of agents lead to the state in the trace" in refused(tmp_path, trace)
     changed(trace, lambda lines: lines[3]["shared"].update(added=7))
     assert "after init, added of robot 0 is 7 in the trace and 0 by the program" in refused(tmp_path, trace)
 

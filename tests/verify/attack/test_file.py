@@ -102,7 +102,7 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
     "no program": (lambda d: d.pop("program"), "the file lacks"),
     "an unknown key": (lambda d: d.update(run="rm"), "the file has an unknown"),
     "an unknown invariant": (lambda d: d.update(proved=["R"]), "is none of the possible names"),
-    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "is no name"),
+    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "is none of the possible names"),
     "nothing proved": (lambda d: d.update(proved=[]), "proved is no list"),
     "no robots": (lambda d: d["state"].update(robots=[]), "robots is no list of 1 to 4"),
     "too many robots": (lambda d: d["state"].update(robots=5 * d["state"]["robots"]), "robots is no list of 1 to 4"),
@@ -152,7 +152,7 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
         (b'{"a": NaN}', "NaN is no number"),
         (b'{"a": 1, "a": 1}', "a name stands twice"),
         (b'{"a": ' + b"9" * 5000 + b"}", "not JSON"),
-        (b" " * (MOST_BYTES + 1), "at most"),
+        (b" " * (MOST_BYTES + 1), "the limit is"),
     ],
 )
 def test_bytes_that_are_no_such_file(data: bytes, said: str) -> None:
@@ -189,5 +189,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read(TEXT.encode(), program, HASH)
-    with pytest.raises(Unusable, match=r"no answer of Motion\.planner is known"):
+    with pytest.raises(Unusable, match=r"no known answer of Motion\.planner"):
         Judge(program, given.proved, lambda *_: ()).follow(given.trial)

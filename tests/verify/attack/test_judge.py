@@ -169,7 +169,7 @@ def test_a_trial_is_run_step_by_step() -> None:
     ("state", "acts", "said"),
     [
         (begun(0), [Act("Up", 0)], "its first state violates Q"),
-        (launched(-1), [Act(INIT)], "`initially` does not hold"),
+        (launched(-1), [Act(INIT)], "violates a formula of `initially`"),
         (launched(), [Act("Up", 0)], "`init` must be the first step"),
         (begun(1), [Act(INIT)], "`init` must be the first step"),
         (begun(1), [Act("Down", 0)], "robot 0 may not run Down at its step"),

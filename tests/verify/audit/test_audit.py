@@ -152,7 +152,7 @@ def test_loop_invariants_are_told_by_what_robots_say_of_their_events(
     edit(home / "cleo.jsonl", lambda record: {**record, "violated": [line + 1]} if "violated" in record else record)
     assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 3
     said = capsys.readouterr().err
-    assert f"what loop invariants were false is [{line + 1}] in the trace, [{line}] by the program" in said
+    assert f"the list of false loop invariants is [{line + 1}] in the trace, [{line}] by the program" in said
 
 
 def jumped(folder: Path, text: str) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks.fixtures.fleet import NAMES, FakePlatform, Fleet
 from koordgen.build.emit.program import program_hash, program_text
 from koordgen.build.pipeline import check_file
-from koordgen.lang.check.sections.params import with_params
+from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions

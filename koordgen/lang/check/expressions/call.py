@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Many
 
-from koordgen.lang.check.base import a, argument, check_expr, fitting, same, widened
+from koordgen.lang.check.base import a, argument, check_expr, fitting, is_poisoned, same, widened
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.lang.check.expressions.dialect import old_call
@@ -61,8 +61,10 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return _method(node, function, c) if module is None else _port_call(node, module, function, c)
     if type(function) is not ast.Name:
         called = check_expr(function, c)
-        skip(node, c)
-        return called if called.type is POISON else c.error("K017", "this is not a function", function.span)
+        args = skip(node, c)
+        if called.type is POISON:
+            return c.poison(node.span, called, *args)
+        return c.error("K017", "this is not a function", function.span, "", (), called, *args)
     name = function.name
     if c.temp(name) is not None:
         return _no_function(node, function, c)
@@ -86,8 +88,7 @@ def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     entity = c.entities[function.name]
     match entity:
         case None:
-            skip(node, c)
-            return c.poison(node.span)
+            return c.poison(node.span, *skip(node, c))
         case decl.Record():
             return _record(entity, node, c)
         case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
@@ -96,8 +97,9 @@ def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
             return _no_function(node, function, c)
 
 
-def skip(node: ast.Call, c: Context) -> None:
-    """Arguments of what cannot be called may have mistakes of their own."""
+def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
+    """Check the arguments of what cannot be called: they may have mistakes of their own. Return them."""
+    checked = []
     for arg in node.args:
         value = arg.value if isinstance(arg, ast.Keyword) else arg
         if isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items:
@@ -106,61 +108,66 @@ def skip(node: ast.Call, c: Context) -> None:
             continue  # isinstance(n, int)
         if isinstance(value, ast.Call) and isinstance(value.function, ast.Name) and value.function.name == "range":
             continue  # list(range(3))
-        check_expr(value, c)
+        checked.append(check_expr(value, c))
+    return tuple(checked)
 
 
 def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
-    skip(node, c)
+    args = skip(node, c)
     if name == "range":
-        return c.error("K017", "range(...) is no value", node.span, "it stands in a loop: 'for i in range(n):'")
+        help = "it stands in a loop: 'for i in range(n):'"
+        return c.error("K017", "range(...) is no value", node.span, help, (), *args)
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
-        return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name])
+        return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
     if names_a_value(name, c):
-        return not_called(name, function.span, c)
+        not_called(name, function.span, c)
+        return c.poison(node.span, *args)
     if name in c.broken or name in c.owners:
-        return c.poison(node.span)
+        return c.poison(node.span, *args)
     if is_event(name, c):
         help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
-        return c.error("K017", f"{name} is an event and is not called", function.span, help)
+        return c.error("K017", f"{name} is an event and is not called", function.span, help, (), *args)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
     help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
     taken = "..." if node.args else ""
     define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
-    return c.error("K010", f"{name} is not defined", function.span, help or define)
+    return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
 
 
 # Arguments
 
 
-def positional(node: ast.Call, name: str, count: Many[int], takes: str, c: Context) -> tuple[ast.Expr, ...] | None:
-    """The arguments of what takes no names; None after reporting that their number is wrong. They are not checked."""
+def positional(
+    node: ast.Call, name: str, count: Many[int], takes: str, c: Context
+) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
+    """Return the arguments of what takes no names, which are not checked yet; or poison after reporting that they are
+    too many, too few, or named."""
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
-            skip(node, c)
+            args = skip(node, c)
             help = "names stand before the values of a record's fields only"
-            c.error("K014", f"{name} takes its arguments without names", arg.span, help)
-            return None
+            return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
-        skip(node, c)
+        args = skip(node, c)
         plural = "" if count[-1] == 1 else "s"
         many = " or ".join(map(str, count)) if count[-1] else "no"
-        c.error("K014", f"{name} takes {many} argument{plural}, not {len(node.args)}", node.span, takes)
-        return None
+        message = f"{name} takes {many} argument{plural}, not {len(node.args)}"
+        return c.error("K014", message, node.span, takes, (), *args)
     return node.args  # type: ignore[return-value]
 
 
 def _handed(
     nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
-) -> tuple[ir.Expr, ...] | None:
-    """Arguments of known types; None where one is wrong."""
+) -> tuple[ir.Expr, ...]:  # fmt: skip
+    """Return the arguments of known types; those that are wrong are poison."""
     args = []
     for node, type_ in zip(nodes, types, strict=True):
         value = check_expr(node, c, type_)
         before = len(c.found)
         args.append(argument(value, type_, f"an argument of {name}", c))
         _explain(before, takes, c)
-    return None if any(arg.type is POISON for arg in args) else tuple(args)
+    return tuple(args)
 
 
 def _explain(before: int, takes: str, c: Context) -> None:
@@ -177,13 +184,13 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
     takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
     nodes = positional(node, name, (len(signatures[0].args),), takes, c)
-    if nodes is None:
-        return c.poison(node.span)
+    if not isinstance(nodes, tuple):
+        return nodes
     if len(signatures) == 1:
         return _applied(name, signatures[0], nodes, takes, node.span, c)
     arg = check_expr(nodes[0], c)
     if arg.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, arg)
     for signature in signatures:
         bound: Bound = {}
         value = bind(signature.args[0], arg, bound)
@@ -191,7 +198,7 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
             result = filled(signature.result, bound)
             assert result is not None
             return ir.Builtin(name, (value,), result, node.span)
-    return c.error("K012", f"{name} does not apply to {a(arg.type)}", arg.span, takes)
+    return c.error("K012", f"{name} does not apply to {a(arg.type)}", arg.span, takes, (), arg)
 
 
 _TAKES = {
@@ -220,10 +227,9 @@ def _applied(
         patterns = patterns[1:]
     for pattern, node in zip(patterns, nodes, strict=True):
         value = check_expr(node, c, filled(pattern, bound))
-        if value.type is POISON:
-            poisoned = True
-            continue
-        taken = bind(pattern, value, bound)
+        taken = value if value.type is POISON else bind(pattern, value, bound)
+        args.append(value if taken is None else taken)
+        poisoned = poisoned or taken is None or taken.type is POISON
         if taken is None:
             before = len(c.found)
             wanted = filled(pattern, bound)
@@ -232,11 +238,8 @@ def _applied(
             else:
                 fitting(value, wanted, f"an argument of {name}", c)
             _explain(before, takes, c)
-            poisoned = True
-        else:
-            args.append(taken)
     if poisoned:
-        return c.poison(span)
+        return c.poison(span, *args)
     result = filled(signature.result, bound)
     assert result is not None
     if bound.get("N") is FLOAT:
@@ -246,38 +249,42 @@ def _applied(
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if isinstance(function.value, ast.Name) and _unknown(function.value.name, c) and function.name in FUNCTIONS:
-        skip(node, c)  # math.sqrt(2)
-        name = function.value.name
-        return c.error("K010", f"{name} is not defined", function.value.span, f"write {function.name}(...)")
+        args = skip(node, c)  # math.sqrt(2)
+        message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
+        return c.error("K010", message, function.value.span, help, (), *args)
     operand = check_expr(function.value, c)
     if operand.type is POISON:
-        skip(node, c)
-        return operand
+        return c.poison(node.span, operand, *skip(node, c))
     type_, name = operand.type, function.name
     word = "List" if isinstance(type_, PerRobot) else word_of(type_)
     signature = METHODS.get((word, name))
     if signature is not None:
         nodes = positional(node, name, (len(signature.args) - 1,), "", c)
         takes = f"{name} takes {shown(signature, 1)}"
-        return c.poison(node.span) if nodes is None else _applied(name, signature, nodes, takes, node.span, c, operand)
-    skip(node, c)
+        if not isinstance(nodes, tuple):
+            return c.poison(node.span, operand, nodes)
+        return _applied(name, signature, nodes, takes, node.span, c, operand)
+    parts = (operand, *skip(node, c))
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
-        return c.error("K027", f"{name} changes {text}: it has no place within an expression", node.span, help)
-    return no_method(operand, function, c)
+        message = f"{name} changes {text}: it has no place within an expression"
+        return c.error("K027", message, node.span, help, (), *parts)
+    no_method(operand, function, c)
+    return c.poison(node.span, *parts)
 
 
 def _unknown(name: str, c: Context) -> bool:
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
-def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
+def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
     """Report that a value has no such method, with what may have been meant."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
     word = word_of(type_)
     if field_of(type_, name) is not None:
-        return c.error("K017", f"{text}.{name} is a field and is not called", function.span)
+        c.error("K017", f"{text}.{name} is a field and is not called", function.span)
+        return
     if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or word == "string"):
         help = f"write len({text})"
     elif name in ("contains", "includes", "has", "has_key"):
@@ -293,7 +300,7 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
         help = c.nearest(name, methods) or (f"{a(type_)} has {', '.join(methods)}" if methods else "")
         if word == "string":
             help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
-    return c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
+    c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
 
 
 # What the program declares
@@ -306,16 +313,17 @@ def _function(
     types = [parameter.type for parameter in entity.parameters]
     takes = f"{name} takes ({', '.join(map(str, types))})"
     nodes = positional(node, name, (len(types),), takes, c)
-    args = _handed(nodes, types, name, takes, c) if nodes is not None else None
+    args = _handed(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
-        return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init")
+        return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
     if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
         message = f"{name} is declared by 'spec fun': it has a meaning in properties only"
-        return c.error("K027", message, function.span, "a 'fun' or an 'extern fun' can be called everywhere")
+        help = "a 'fun' or an 'extern fun' can be called everywhere"
+        return c.error("K027", message, function.span, help, (), *args)
     if c.function:
         c.calls.setdefault(c.function, set()).add(name)
-    if args is None or entity.result is POISON:
-        return c.poison(span)
+    if entity.result is POISON or is_poisoned(args):
+        return c.poison(span, *args)
     if isinstance(entity, decl.ExternFunction):
         return ir.ExternCall(name, args, entity.result, span)
     return ir.Call(name, args, entity.result, span)
@@ -325,15 +333,14 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     port = declared_port(module, function, c)
     name = f"{module.name}.{function.name}"
     if port is None or port.type is POISON:
-        skip(node, c)
-        return c.poison(node.span)
+        return c.poison(node.span, *skip(node, c))
     if port.type is not PLANNER:
-        skip(node, c)
-        return c.error("K017", f"{name} is {a(port.type)} and is not called", function.span)
+        skipped = skip(node, c)
+        return c.error("K017", f"{name} is {a(port.type)} and is not called", function.span, "", (), *skipped)
     takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
     nodes = positional(node, name, (1, 2), takes, c)
-    if nodes is None:
-        return c.poison(node.span)
+    if not isinstance(nodes, tuple):
+        return nodes
     goal = fitting(check_expr(nodes[0], c), POINT, "the goal", c)
     args = [goal]
     if len(nodes) == 2:
@@ -343,16 +350,17 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         args.append(obstacles)
     if c.place == "assume" and module.name != c.module:
         message = f"an assumption speaks of its module's ports, params and pid only, not of {name}"
-        return c.error("K054", message, node.span)
+        return c.error("K054", message, node.span, "", (), *args)
     if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
         what = where.get(c.place, "a property")
         help = "call it in 'eff:' and keep the answer in a variable"
-        return c.error("K027", f"{what} cannot call {name}: its answer is an input of the event", node.span, help)
+        message = f"{what} cannot call {name}: its answer is an input of the event"
+        return c.error("K027", message, node.span, help, (), *args)
     if c.entry is not None:
         return port_called(name, node, c)
-    if any(arg.type is POISON for arg in args):
-        return c.poison(node.span)
+    if is_poisoned(args):
+        return c.poison(node.span, *args)
     return ir.PortCall(module.name, port.name, tuple(args), _PATH, node.span)
 
 
@@ -364,8 +372,9 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
     takes = f"{type_.name} has the fields {', '.join(names)}"
     before_names = len([arg for arg in node.args if not isinstance(arg, ast.Keyword)])
     if before_names > len(names):
-        skip(node, c)
-        return c.error("K014", f"{type_.name} has {len(names)} fields, not {before_names}", node.span, takes)
+        args = skip(node, c)
+        message = f"{type_.name} has {len(names)} fields, not {before_names}"
+        return c.error("K014", message, node.span, takes, (), *args)
     poisoned, named = False, False
     for position, arg in enumerate(node.args):
         if isinstance(arg, ast.Keyword):
@@ -378,11 +387,12 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
             name, value, span = names[position], arg, arg.span
         poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
     if poisoned:
-        return c.poison(node.span)
+        return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
     if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
         message = f"{type_.name} lacks {', '.join(missing)}: in the first value of a field it has no first values yet"
-        return c.error("K014", message, node.span, f"give each field of {type_.name} a value here")
+        help = f"give each field of {type_.name} a value here"
+        return c.error("K014", message, node.span, help, (), *given.values())
     first = dict(zip(names, record.defaults, strict=False))
     return ir.Make(tuple([given[name] if name in given else first[name] for name in names]), type_, node.span)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from koordgen.lang.analyze.facts import range_facts
-from koordgen.lang.check import bounds
 from koordgen.lang.check.base import (
     a,
     argument,
@@ -11,6 +9,7 @@ from koordgen.lang.check.base import (
     condition,
     fitting,
     is_display,
+    is_poisoned,
     per_robot,
     same,
     widened,
@@ -75,8 +74,8 @@ def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> i
         return _empty(node, "{}", "Map<string, int>", c, wanted)
     keys = _items(tuple([k for k, _ in node.items]), kinds[0], "a key", c)
     values = _items(tuple([v for _, v in node.items]), kinds[1], "a value", c)
-    if keys is None or values is None:
-        return c.poison(node.span)
+    if is_poisoned(keys) or is_poisoned(values):
+        return c.poison(node.span, *keys, *values)
     key = kinds[0] or keys[0].type
     value = kinds[1] or values[0].type
     if not is_key(key):
@@ -95,36 +94,34 @@ def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.E
     for item, part in zip(node.items, parts, strict=True):
         value = check_expr(item, c, part)
         items.append(_whole(widened(value, part) if part is not None else value, c))
-    if any(item.type is POISON for item in items):
-        return c.poison(node.span)
+    if is_poisoned(items):
+        return c.poison(node.span, *items)
     return ir.Make(tuple(items), TupleOf(tuple([item.type for item in items])), node.span)
 
 
 def _sequence(name: str, nodes: tuple[ast.Expr, ...], element: Type | None, span: Span, c: Context) -> ir.Expr:
     items = _items(nodes, element, f"an element of this {name}", c)
-    if items is None or element is POISON:
-        return c.poison(span)
+    if element is POISON or is_poisoned(items):
+        return c.poison(span, *items)
     return ir.Make(tuple(items), Sequence(name, element or items[0].type, SHARED_ELEMENTS), span)
 
 
-def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr] | None:
-    """The items of a display, all of one type: the wanted one, or else the first one's (with floats, ints widen).
-    None where one is wrong."""
+def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr]:
+    """Return the items of a display, all of one type: the wanted one, or else the first one's (with floats, ints
+    widen). One that is wrong is poison."""
     if type_ is not None:
-        checked = [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
-        return None if any(item.type is POISON for item in checked) else checked
+        return [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
     typed = next((node for node in nodes if not is_display(node)), nodes[0])
     first = _whole(check_expr(typed, c), c)
     checked = [first if node is typed else _whole(check_expr(node, c, first.type), c) for node in nodes]
-    if any(item.type is POISON for item in checked):
-        return None
+    if is_poisoned(checked):
+        return checked
     common = FLOAT if first.type is INT and any(item.type is FLOAT for item in checked) else first.type
     checked = [widened(item, common) for item in checked]
     for item in checked:
         if not same(item.type, common):
             message = f"this is {a(item.type)}, and the first is {a(common)}: all must be of one type"
-            c.error("K012", message, item.span, labels=(Label(first.span, f"{a(common)}"),))
-            return None
+            return [c.error("K012", message, item.span, "", (Label(first.span, f"{a(common)}"),), *checked)]
     return checked
 
 
@@ -165,16 +162,13 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
     operand = check_expr(value, c)
     index = check_expr(node.index, c)
     if operand.type is POISON or index.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, operand, index)
     return element(operand, index, node, c)
 
 
 def robot(node: ast.Expr, c: Context) -> ir.Expr:
-    """A robot's index in a property, always one of the fleet's."""
-    index = fitting(check_expr(node, c), INT, "an index", c)
-    if index.type is not POISON:
-        bounds.index_proved(index, node.span, c)
-    return index
+    """A robot's index in a property."""
+    return fitting(check_expr(node, c), INT, "an index", c)
 
 
 def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
@@ -183,7 +177,7 @@ def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
     port = declared_port(module, value, c)
     index = robot(node.index, c)
     if port is None or index.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, index)
     if port.direction not in ("sensor", "actuator"):
         return c.error("K054", f"{module.name}.{port.name} has no value that a property could speak of", node.span)
     return ir.PortOf(module.name, port.name, index, port.type, node.span)
@@ -193,7 +187,7 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
     name = entity.name
     index = fitting(check_expr(node.index, c), INT, "an index", c)
     if index.type is POISON or entity.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, index)
     match c.place:
         case "constant":
             message = f"an initial value cannot depend on the variable {name}"
@@ -202,18 +196,19 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
             return check_expr(node.value, c)  # which says why not
         case "init" if not isinstance(index, ir.Pid):
             return shared_in_init(c.text(node.span), node.span, c)
-    proved = type(index) is ir.Pid or bounds.index_proved(index, node.span, c)
-    return ir.SlotRead(name, index, proved, entity.type, node.span)
+    return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
 
 
-def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context, judged: bool = True) -> ir.Expr:
-    """`operand[index]` of a value. Unless `judged`, no one reads it, and its index is not judged."""
+def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir.Expr:
+    """`operand[index]` of a value."""
     match operand.type:
         case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
             pass
         case MapOf(key, value):
             index = fitting(index, key, "the key", c)
-            return index if index.type is POISON else ir.Builtin("map_at", (operand, index), value, node.span)
+            if index.type is POISON:
+                return c.poison(node.span, operand, index)
+            return ir.Builtin("map_at", (operand, index), value, node.span)
         case TupleOf(items):
             return _item(operand, items, node, c)
         case other if other == STRING:
@@ -221,10 +216,7 @@ def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context, judge
         case other:
             return _no_index(operand, other, node, c)
     index = fitting(index, INT, "an index", c)
-    if index.type is POISON:
-        return index
-    proved = judged and bounds.element_proved(operand, index, node.span, c)
-    return ir.At(operand, index, proved, type_, node.span)
+    return index if index.type is POISON else ir.At(operand, index, False, type_, node.span)
 
 
 def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context) -> ir.Expr:
@@ -256,13 +248,13 @@ def _part_help(text: str, type_: Type) -> str:
 def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.Expr:
     operand = check_expr(node.value, c)
     ends = [fitting(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
-    if operand.type is POISON or any(e is not None and e.type is POISON for e in ends):
-        return c.poison(node.span)
+    parts = [operand, *(end for end in ends if end is not None)]
+    if is_poisoned(parts):
+        return c.poison(node.span, *parts)
     type_ = operand.type
     if not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
-        return c.error("K017", f"{a(type_)} has no slices", node.span)
-    proved = [bounds.end_proved(e, node.span, c) for e in ends if e is not None]
-    return ir.Slice(operand, ends[0], ends[1], all(proved), type_, node.span)
+        return c.error("K017", f"{a(type_)} has no slices", node.span, "", (), *parts)
+    return ir.Slice(operand, ends[0], ends[1], ends == [None, None], type_, node.span)
 
 
 # Containment
@@ -278,11 +270,11 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
         values = check_expr(second, c)
         item = check_expr(first, c, _held(values.type))
     if item.type is POISON or values.type is POISON:
-        return c.poison(span)
+        return c.poison(span, item, values)
     held = _held(values.type)
     if held is None:
         help = "a distance says whether two points are near" if values.type is POINT else ""
-        return c.error("K012", f"'{op}' does not apply to {a(values.type)}", values.span, help)
+        return c.error("K012", f"'{op}' does not apply to {a(values.type)}", values.span, help, (), item, values)
     if values.type == STRING or held is POINT or isinstance(values.type, MapOf):
         what = f"what is looked for in {a(values.type)}"
     else:
@@ -314,7 +306,7 @@ def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
     if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
         return values
     help = f"write range({c.text(node.span)})" if values.type is INT else ""
-    return c.error("K012", f"{a(values.type)} has no elements to run over", node.span, help)
+    return c.error("K012", f"{a(values.type)} has no elements to run over", node.span, help, (), values)
 
 
 def elements(values: ir.Expr) -> Type:
@@ -331,8 +323,8 @@ def _range(node: ast.Call, c: Context) -> ir.Expr:
         help = "range(stop), range(start, stop) or range(start, stop, step)"
         return c.error("K014", f"range takes 1 to 3 arguments, not {len(node.args)}", node.span, help)
     args = [fitting(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
-    if any(arg.type is POISON for arg in args):
-        return c.poison(node.span)
+    if is_poisoned(args):
+        return c.poison(node.span, *args)
     step = _step(args[2]) if len(args) == 3 else 1
     if not step:
         return c.error("K012", "the step of a range is a number that is written out, and not 0", args[2].span)
@@ -357,24 +349,15 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
         message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
-    saved = c.path
     c.scopes.append({})
-    temps = []
-    for name in node.names:
-        temp = declare(name.name, elements(domain), name.span, c)
-        if temp is not None:
-            temps.append(temp)
-            if c.flow is not None:
-                for fact in range_facts(temp.unique, domain, c.flow, c.flow):
-                    c.flow = c.flow.knowing(fact)
+    temps = [declare(name.name, elements(domain), name.span, c) for name in node.names]
     body = condition(node.body, c, f"what follows '{node.kind}'")
     c.scopes.pop()
-    c.path = saved
-    if domain.type is POISON or body.type is POISON or len(temps) < len(node.names):
-        return c.poison(node.span)
+    wrong = domain.type is POISON or body.type is POISON or None in temps
     for temp in reversed(temps):
-        body = ir.Quantified(node.kind, temp.unique, domain, body, BOOL, node.span)
-    return body
+        if temp is not None:
+            body = ir.Quantified(node.kind, temp.unique, domain, body, BOOL, node.span)
+    return c.poison(node.span, body) if wrong else body
 
 
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:

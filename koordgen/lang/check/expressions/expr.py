@@ -1,10 +1,7 @@
-"""Expressions: resolves names, gives every node its type, has its indices and divisors judged."""
+"""Expressions: the type of every node, by the class of its syntax tree."""
 
 from __future__ import annotations
 
-from koordgen.lang.analyze.number import FUNCTIONS, RANGE, compute, number_of
-from koordgen.lang.analyze.path import Condition
-from koordgen.lang.check import bounds
 from koordgen.lang.check.base import (
     CHECKERS,
     NUMBERS,
@@ -39,40 +36,6 @@ from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POISON, STRING, PerR
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as ast
 
-# Functions and powers of numbers that are written out: one that has no value is told where it stands.
-
-_TAKES = {"sqrt": "numbers from 0 up", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
-_TAKES["acos"] = _TAKES["asin"]
-
-
-def check_called(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """A call, of which an error is told if it can have no value."""
-    value = check_call(node, c, wanted)
-    if type(value) is ir.Builtin and value.name in FUNCTIONS:
-        name = value.name
-        _judge(value, f"{name} takes {_TAKES.get(name, 'smaller numbers')}", c)
-    return value
-
-
-def judge_power(value: ir.Binary, c: Context) -> None:
-    """Reports a power of floats that is no number."""
-    base = number_of(value.left)
-    low = "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only"
-    _judge(value, low, c)
-
-
-def _judge(value: ir.Builtin | ir.Binary, help: str, c: Context) -> None:
-    if c.path is None or c.poisoned:
-        return
-    span = value.span
-    try:
-        compute(value)
-    except OverflowError:
-        c.error("K057", f"{c.text(span)} is too large for a float", span, RANGE)
-    except ValueError:
-        c.error("K057", f"{c.text(span)} has no value", span, help)
-
-
 __all__ = ["arithmetic", "check_expr", "condition", "default", "fitting", "widened"]
 
 _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
@@ -94,13 +57,13 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
     operand = check_expr(node.operand, c)
     type_ = operand.type
     if type_ is POISON:
-        return operand
+        return c.poison(node.span, operand)
     if type_ is BOOL if op == "not" else type_ is INT or type_ is FLOAT or type_ is POINT:
         return ir.Unary(op, operand, type_, node.span)
     if isinstance(type_, PerRobot):
         return per_robot(operand, c)
     help = as_bool(operand, c, "==") if op == "not" else ""
-    return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help)
+    return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help, (), operand)
 
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
@@ -119,10 +82,10 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
-    """`left op right`, typed; a divisor is shown not to be zero, or reported."""
+    """Return `left op right`, typed. That a divisor differs from zero is known here only of a number."""
     first, second = left.type, right.type
     if first is POISON or second is POISON:
-        return c.poison(span)
+        return c.poison(span, left, right)
     result: Type | None = None
     if (first is INT or first is FLOAT) and (second is INT or second is FLOAT):
         if first is not second:
@@ -138,13 +101,12 @@ def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -
         result = first
     if result is None:
         return _no_operator(op, left, right, span, c)
-    if op == "**" and result is INT:
-        bounds.exponent(right, span, c)
-    proved = op not in ("/", "//", "%") or bounds.divisor_proved(right, span, c)
-    value = ir.Binary(op, left, right, proved, result, span)
-    if op == "**" and result is FLOAT:
-        judge_power(value, c)
-    return value
+    return ir.Binary(op, left, right, op not in ("/", "//", "%") or _differs_from_zero(right), result, span)
+
+
+def _differs_from_zero(number: ir.Expr) -> bool:
+    number = number.operand if type(number) is ir.Widen else number
+    return type(number) is ir.Const and bool(number.value)
 
 
 def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
@@ -167,7 +129,8 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
     elif op == "+" and isinstance(left.type, Sequence) and same(left.type.element, right.type):
         verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
         help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
-    return c.error("K012", f"'{op}' does not apply to {a(left.type)} and {a(right.type)}", span, help)
+    message = f"'{op}' does not apply to {a(left.type)} and {a(right.type)}"
+    return c.error("K012", message, span, help, (), left, right)
 
 
 def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
@@ -220,13 +183,13 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
         result = pair if result is None else ir.Logic("and", result, pair, BOOL, node.span)
         left = right
     assert result is not None
-    return c.poison(node.span) if poisoned else result
+    return c.poison(node.span, result) if poisoned else result
 
 
 def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
     first, second = left.type, right.type
     if first is POISON or second is POISON:
-        return c.poison(span)
+        return c.poison(span, left, right)
     if (first is INT or first is FLOAT) and (second is INT or second is FLOAT):
         if first is not second:
             left, right = widened(left, FLOAT), widened(right, FLOAT)
@@ -235,10 +198,11 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
         if isinstance(side.type, PerRobot):
             return per_robot(side, c)
     if not same(first, second):
-        return c.error("K012", f"{a(first)} and {a(second)} cannot be compared", span, _alike(left, right, c))
+        message = f"{a(first)} and {a(second)} cannot be compared"
+        return c.error("K012", message, span, _alike(left, right, c), (), left, right)
     if op not in ("==", "!=") and first != STRING:
         help = "compare their coordinates, or distances" if first is POINT else "only '==' and '!=' compare these"
-        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help)
+        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help, (), left, right)
     return ir.Compare(op, left, right, BOOL, span)
 
 
@@ -255,45 +219,35 @@ def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
 def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
     op = modern_logic(node, c)
     left = check_expr(node.left, c)
-    saved, poisoned = c.path, c.poisoned
-    if saved is not None and left.type is BOOL:
-        held = Condition(left, saved)
-        c.path = saved.passing(held) if op == "and" else saved.failing(held)
-    c.poisoned = poisoned or left.type is POISON
     right = check_expr(node.right, c)
-    c.path, c.poisoned = saved, poisoned
+    value = ir.Logic(op, left, right, BOOL, node.span)
     if left.type is POISON or right.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, value)
     for side in (left, right):
         if side.type is not BOOL:
-            return c.error("K013", f"'{op}' joins bools, not {a(side.type)}", side.span, as_bool(side, c))
-    return ir.Logic(op, left, right, BOOL, node.span)
+            message = f"'{op}' joins bools, not {a(side.type)}"
+            return c.error("K013", message, side.span, as_bool(side, c), (), value)
+    return value
 
 
 def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.Expr:
     held = condition(node.condition, c, "the condition of 'if'")
-    saved, poisoned = c.path, c.poisoned
-    yes = no = saved
-    if saved is not None and held.type is BOOL:
-        known = Condition(held, saved)
-        yes, no = saved.passing(known), saved.failing(known)
-    c.poisoned = poisoned or held.type is POISON
-    first, second = (node.then, yes), (node.orelse, no)
     turned = wanted is None and is_display(node.then) and not is_display(node.orelse)
     checked: list[ir.Expr] = []
-    for side, c.path in (second, first) if turned else (first, second):
+    for side in (node.orelse, node.then) if turned else (node.then, node.orelse):
         checked.append(check_expr(side, c, wanted))
         wanted = wanted or checked[0].type
     then, orelse = reversed(checked) if turned else checked
-    c.path, c.poisoned = saved, poisoned
-    if held.type is POISON or then.type is POISON or orelse.type is POISON:
-        return c.poison(node.span)
     then, orelse = widened(then, orelse.type), widened(orelse, then.type)
+    value = ir.Conditional(held, then, orelse, then.type, node.span)
+    if held.type is POISON or then.type is POISON or orelse.type is POISON:
+        return c.poison(node.span, value)
     if isinstance(then.type, PerRobot):
         return per_robot(then, c)
     if not same(then.type, orelse.type):
-        return c.error("K012", f"this is {a(then.type)} or {a(orelse.type)}; both must be of one type", node.span)
-    return ir.Conditional(held, then, orelse, then.type, node.span)
+        message = f"this is {a(then.type)} or {a(orelse.type)}; both must be of one type"
+        return c.error("K012", message, node.span, "", (), value)
+    return value
 
 
 CHECKERS.update(
@@ -304,7 +258,7 @@ CHECKERS.update(
         ast.Primed: check_primed,
         ast.Index: check_index,
         ast.Slice: check_slice,
-        ast.Call: check_called,
+        ast.Call: check_call,
         ast.Tuple: check_tuple,
         ast.ListDisplay: check_list,
         ast.SetDisplay: check_set,

@@ -113,7 +113,6 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
     entity = c.entities[name]
     match entity:
         case Local(type=type_):
-            c.mention(name)
             return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
         case None:
             return c.poison(span)
@@ -140,8 +139,6 @@ def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
         return shared_in_init(name, span, c)
     if entity.kind == "allread":
         return ir.SlotsRead(name, PerRobot(entity.type), span)
-    c.read_shared.add(name)
-    c.mention(name)
     return ir.SharedRead(name, entity.type, span)
 
 
@@ -171,7 +168,6 @@ def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
 def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     name, span = node.name, node.span
     if name == "pid":
-        c.mention(name)
         return (refused("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
         wrong = refused("", name, span, c) if c.place not in ("property", "assume") else None
@@ -220,14 +216,15 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
     return c.error("K010", f"{name} is not defined", span, help)
 
 
-def not_called(name: str, span: Span, c: Context) -> ir.Expr:
+def not_called(name: str, span: Span, c: Context) -> None:
     """Report a call of a value, which may have, and hide, the name of a builtin function."""
     owner = c.temp(name) or c.entities.get(name)
     if name not in FUNCTIONS or owner is None:
-        return c.error("K017", f"{name} is not a function", span)
+        c.error("K017", f"{name} is not a function", span)
+        return
     labels = (Label(owner.span, f"hides the builtin {name}"),)
     message = f"{name} is not a function here: a variable has its name"
-    return c.error("K017", message, span, "give the variable another name", labels)
+    c.error("K017", message, span, "give the variable another name", labels)
 
 
 def is_event(name: str, c: Context) -> bool:
@@ -296,7 +293,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
         return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
     operand = check_expr(node.value, c)
     if operand.type is POISON:
-        return c.poison(node.span)
+        return c.poison(node.span, operand)
     field = field_of(operand.type, node.name)
     if field is None:
         return no_field(operand, node, c)
@@ -388,7 +385,7 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
         help = f"the value of a key is {text}[key]"
     else:
         help = c.nearest(name, fields) or (f"{a(type_)} has {_listed(fields)}" if fields else "")
-    return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help)
+    return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help, (), operand)
 
 
 def _listed(fields: dict[str, Type]) -> str:

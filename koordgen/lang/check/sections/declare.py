@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.lang.analyze.facts import Flow, term
-from koordgen.lang.analyze.walk import nodes
 from koordgen.lang.check.base import check_expr, default, fitting
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.first import flaw_of
 from koordgen.lang.check.names import enter, owns, unique
-from koordgen.lang.check.types import bounded, dialect_element, excess, per_robot, resolve
+from koordgen.lang.check.types import bounded, dialect_element, per_robot, resolve
 from koordgen.lang.diagnostics import Edit
 from koordgen.lang.ir import decl, expr
-from koordgen.lang.ir.types import INT, POISON, ExternType, RecordType, Type
+from koordgen.lang.ir.capacity import excess
+from koordgen.lang.ir.types import POISON, ExternType, RecordType, Type
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
 from koordgen.lang.syntax import types as written
+from koordgen.lang.syntax.walk import nodes
 
 Kind = Literal["allread", "allwrite", "local"]
 
@@ -38,7 +37,7 @@ Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
 def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     """Makes the records' types known. The records, each behind those that its fields hold; those without a type are
     wrong."""
-    from koordgen.lang.analyze.graph import ordered
+    from koordgen.lang.check.graph import ordered
 
     for node in sections:
         c.types[node.name] = None
@@ -121,12 +120,8 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
         value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
         param = decl.Param(node.name, type_, value, node.span)
         params.append(param)
-        if type_ is POISON:
-            continue
-        enter(node.name, node, param, c)
-        known = term(value, Flow()) if value.type == INT else None
-        if known is not None and not known.terms:
-            c.defaults[f"param {node.name}"] = known.constant
+        if type_ is not POISON:
+            enter(node.name, node, param, c)
     return tuple(params)
 
 
@@ -205,7 +200,6 @@ def _initial(
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")
-    before = len(c.found)
     if no_params and not isinstance(value, tree.Literal):
         for part in nodes(value):
             if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
@@ -213,17 +207,6 @@ def _initial(
     initial = fitting(check_expr(value, c, type_), type_, node.name, c)
     too_much = excess(initial, type_)
     if too_much:
-        c.error("K053", f"the first value of {node.name} has {too_much}", value.span, "declare more room with 'max'")
-    if any(diagnostic.severity == "error" for diagnostic in c.found[before:]):
-        return initial
-    return _judged(node.name, initial, type_, c)
-
-
-def _judged(name: str, initial: expr.Expr, type_: Type, c: Context) -> expr.Expr:
-    """Return a first value, unless it has none, or none that robots may keep, which is reported."""
-    params = {name: entity.default for name, entity in c.entities.items() if isinstance(entity, decl.Param)}
-    wrong = flaw_of(initial, type_, params)
-    if wrong is None:
-        return initial
-    what = f"the first value of {name}" if wrong.span is None else c.text(wrong.span)
-    return c.error("K057", f"{what} {wrong.reason}", wrong.span or initial.span, wrong.help)
+        help = "declare more room with 'max'"
+        return c.error("K053", f"the first value of {node.name} has {too_much}", value.span, help, (), initial)
+    return initial

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from koordgen.lang.analyze.graph import ordered
-from koordgen.lang.analyze.walk import nodes, statements
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
+from koordgen.lang.check.graph import ordered
 from koordgen.lang.check.names import enter, owns, reserved, unique
 from koordgen.lang.check.statements.stmt import check_block
 from koordgen.lang.check.types import per_robot, resolve
@@ -17,7 +16,7 @@ from koordgen.lang.ir.types import POISON, PerRobot, Type
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
-from koordgen.lang.syntax.stmt import BrokenStmt
+from koordgen.lang.syntax.walk import nodes
 
 Signature = tuple[tuple[decl.Parameter, ...], Type]
 
@@ -105,10 +104,6 @@ def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
     c.result = None if node.result is None else result
     parameters = _temps(node.parameters, parameters, c)
     block = check_block(node.block, c)
-    if c.path is not None and not any(isinstance(s, BrokenStmt) for s in statements(node.block)):
-        none = c.result is None
-        message = f"the function {node.name} {'has no' if none else 'can end without'} 'return'"
-        c.error("K029", message, node.span, "let every way through it end with 'return value'")
     result = POISON if c.result is None else c.result
     if node.def_span is not None:
         _modernise(node, result, c)

@@ -4,7 +4,7 @@ order; init and the events in the order of their writing."""
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.names import claim
@@ -20,20 +20,24 @@ from koordgen.lang.check.sections.declare import (
 from koordgen.lang.check.sections.events import events, in_text_order, lone_priorities
 from koordgen.lang.check.sections.modules import assumptions, modules
 from koordgen.lang.check.statements.stmt import check_block
-from koordgen.lang.diagnostics import Diagnostic, in_order
+from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.stmt import Block
-from koordgen.lang.ir.types import BOOL
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 
 
-def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
-    """The typed program, or None where there are errors; and all that was found, in the order of the text."""
+class Typed(NamedTuple):
+    """A program whose names are resolved and whose types are known, with drafts among its nodes: see `ir.draft`."""
+
+    program: decl.Program
+    found: list[Diagnostic]
+
+
+def resolve(program: ast.Program, source: Source) -> Typed:
+    """Resolve names and types; the first of the two checks of a program."""
     c = Context(source, program)
-    checked = _program(program, c)
-    found = in_order(c.found)
-    return (None if any(d.severity == "error" for d in found) else checked), found
+    return Typed(_program(program, c), c.found)
 
 
 def _program(program: ast.Program, c: Context) -> decl.Program:
@@ -71,11 +75,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     if not sections.keys() & {ast.Event, ast.Priority, ast.BrokenSection}:
         c.error("K019", "the program has no event", Span(1, 1, 1, 1), "write 'Name:' with 'pre:' and 'eff:' under it")
     lone_priorities(of(ast.Priority), c)
-    acting, locks = _events(in_text_order(program.sections), shared, c)
-    if any(variable.type is BOOL for variable in locals_):
-        from koordgen.lang.check.sections.waiting import judge_waiting
-
-        judge_waiting(locals_, init, acting, c)
+    acting = events(in_text_order(program.sections), c)
     properties: tuple[decl.Property, ...] = ()
     if ast.Property in sections:
         from koordgen.lang.check.property import properties as check_properties
@@ -85,7 +85,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     path = os.path.basename(c.source.path)
     return decl.Program(
         os.path.splitext(path)[0], path, records, opaque, functions, externs, specs, params, assuming, shared, locals_,
-        locks, init, acting, properties,
+        (), init, acting, properties,
     )  # fmt: skip
 
 
@@ -93,14 +93,3 @@ def _init(sections: list[ast.Init], c: Context) -> Block:
     """Several are one, in the order of their writing."""
     c.enter("init")
     return tuple([statement for section in sections for statement in check_block(section.block, c)])
-
-
-def _events(
-    written: list[tuple[ast.Event, int | None]], shared: tuple[decl.Shared, ...], c: Context
-) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
-    found = events(written, c)
-    if all(atomic is None for _, atomic in found):
-        return tuple([event for event, _ in found]), ()
-    from koordgen.lang.check.locks import locked
-
-    return locked(found, shared, c)

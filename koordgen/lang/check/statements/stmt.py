@@ -1,19 +1,20 @@
-"""Statements: types, who may write what, what can run at all, and what is known afterwards."""
+"""Statements: their types, and the places that they may write."""
 
 from __future__ import annotations
 
-from koordgen.lang.analyze.path import Condition, Path, is_open, joined
-from koordgen.lang.check import bounds
+from typing import cast
+
 from koordgen.lang.check.base import a, check_expr, condition, default, fitting
-from koordgen.lang.check.context import STATEMENTS, Context, Out, check_block, learn
+from koordgen.lang.check.context import STATEMENTS, Context, Out, check_block
 from koordgen.lang.check.expressions.collection import declare
 from koordgen.lang.check.expressions.expr import arithmetic
 from koordgen.lang.check.expressions.name import declared_port, module_named
 from koordgen.lang.check.statements.loop import check_counted, check_for, check_while
 from koordgen.lang.check.statements.target import Target, check_target, check_update, declaration, pops, updates
 from koordgen.lang.check.types import resolve
+from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir import stmt
+from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, FLOAT, INT, NAMED, POINT, POISON, STREAM, STRING, PerRobot, Type, list_of
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
@@ -28,7 +29,7 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     target = check_target(node.target, c)
     if target is None:
         c.hoisted.clear()
-        _unassigned(node, c)
+        out.append(draft.Wrong((_unassigned(node, c),), node.span))
         return
     type_ = target.read.type
     if not node.op and pops(node.value, c):
@@ -42,18 +43,20 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     write(target, value, bool(node.op), node.span, c, out)
 
 
-def _unassigned(node: tree.Assign, c: Context) -> None:
-    """Checks the value of an assignment that writes nothing; where nobody declared the variable, it tells its type."""
+def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
+    """Check and return the value of an assignment that writes nothing. It gives the type for the help with a variable
+    that nobody declared."""
     at, target = len(c.found) - 1, node.target
     forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
     if pops(node.value, c):
         update = check_update(node.value, c)
-        type_ = update[1].type if update is not None and update[1] is not None else POISON
+        value = (update[1] if update is not None else None) or c.poison(node.span)
         c.hoisted.clear()
     else:
-        type_ = check_expr(node.value, c, POISON).type
+        value = check_expr(node.value, c, POISON)
+    type_ = value.type
     if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
-        return
+        return value
     if isinstance(node.value, ast.ListDisplay) and not node.value.items:
         type_ = list_of(POINT)  # an example
     known = type_ is not POISON and not isinstance(type_, PerRobot)
@@ -63,42 +66,52 @@ def _unassigned(node: tree.Assign, c: Context) -> None:
     if c.place in ("init", "effect"):
         help += "; one that is to last stands under 'local:'"
     c.found[at] = replace(c.found[at], help=help)
+    return value
 
 
 def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
     """`target = value`, typed; `reads`: the target's own value is part of the new one."""
     place = target.place
-    if c.hoisted:
-        out.extend(c.hoisted)
-        c.hoisted.clear()
-    if type(place) is stmt.SharedPlace:
-        bounds.judge_update(place.name, reads or not target.whole, span, c)
+    hoist(span, c, out)
+    if c.place == "init" and type(place) is stmt.SharedPlace:
+        if (reads or not target.whole) and place.name not in c.written:
+            help = "build it in a variable of the block, and assign that"
+            c.error("K023", f"init cannot change {place.name}, only set it: it is shared", span, help)
+        else:
+            c.written.add(place.name)
     if value.type is POISON or target.read.type is POISON:
-        learn(place, c.poison(span), c)
-        return
-    new = value if target.whole else target.put(value)
-    learn(place, new, c)
-    out.append(stmt.Assign(place, new, span))
+        new = c.poison(span, value) if target.whole else c.poison(span, target.read, value)
+    else:
+        new = value if target.whole else target.put(value)
+    out.append(stmt.Assign(cast(stmt.Place, place), new, span))
+
+
+def hoist(span: Span, c: Context, out: Out) -> None:
+    """Let what must be evaluated before a statement, which stands at `span`, stand before it."""
+    for let in c.hoisted:
+        out.append(replace(let, span=span))
+    c.hoisted.clear()
 
 
 def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
-    """`x = q.pop()`: read, then remove. A part of a variable is written last: its index may be among what changes."""
+    """`x = q.pop()`: read, then remove. A part of a variable is written last, and so is one that the index of `pop`
+    reads: what is removed is what was read."""
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
     if update is None:
         c.hoisted.clear()
+        out.append(draft.Wrong((), node.span))
         return
     queue, value, rest = update
     assert value is not None
     value = fitting(value, target.read.type, c.text(node.target.span), c)
-    if target.whole and queue.whole:
+    if target.whole and queue.whole and target.read not in set(walk(rest)):
         write(target, value, False, node.span, c, out)
         write(queue, rest, True, node.span, c, out)
         return
     if value.type is not POISON:
         name = c.mint("popped")
-        out.extend(c.hoisted)
-        c.hoisted.clear()
+        hoist(node.span, c, out)
         out.append(stmt.Let(name, value.type, value, node.span))
         value = ir.TempRead(name, value.type, node.span)
     write(queue, rest, True, node.span, c, out)
@@ -110,7 +123,8 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            return  # `assert b`, `del n`: no declaration was meant
+            out.append(draft.Wrong((), node.span))  # `assert b`, `del n`: no declaration was meant
+            return
         value = default(type_, node.span, c)
     elif pops(node.value, c):
         update = check_update(node.value, c)
@@ -119,12 +133,8 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
         value = check_expr(node.value, c, type_)
     value = fitting(value, type_, node.name, c)
     temp = declare(node.name, type_, node.name_span, c)
-    out.extend(c.hoisted)
-    c.hoisted.clear()
-    if temp is not None:
-        learn(stmt.TempPlace(temp.unique), value, c)
-        if value.type is not POISON and type_ is not POISON:
-            out.append(stmt.Let(temp.unique, type_, value, node.span))
+    hoist(node.span, c, out)
+    out.append(stmt.Let(temp.unique, type_, value, node.span) if temp is not None else draft.Wrong((value,), node.span))
     if update is not None:
         write(update[0], update[2], True, node.span, c, out)
 
@@ -147,17 +157,24 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
         update = check_update(value, c)
         if update is not None:
             write(update[0], update[2], True, node.span, c, out)
+        else:
+            out.append(draft.Wrong((), node.span))
         c.hoisted.clear()
-    elif isinstance(value, ast.Call):
-        if check_expr(value, c).type is not POISON:
-            help = f"assign it: x = {c.text(node.span)}"
-            c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
     elif isinstance(value, ast.Binary) and value.op == "<<":
         _emit(value, node.span, c, out)
     elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":
         c.error("K024", "this compares and does nothing", node.span, "'=' assigns")
-    elif check_expr(value, c).type is not POISON:
-        c.error("K024", "this is a value and does nothing", node.span)
+        out.append(draft.Wrong((), node.span))
+    else:
+        checked = check_expr(value, c)
+        out.append(draft.Wrong((checked,), node.span))
+        if checked.type is POISON:
+            return
+        if isinstance(value, ast.Call):
+            help = f"assign it: x = {c.text(node.span)}"
+            c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
+        else:
+            c.error("K024", "this is a value and does nothing", node.span)
 
 
 # Streams
@@ -170,23 +187,23 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
     while isinstance(head, ast.Binary) and head.op == "<<":
         parts.append(head.right)
         head = head.left
-    items = [_text(check_expr(part, c), c) for part in reversed(parts)]
+    items = tuple([_text(check_expr(part, c), c) for part in reversed(parts)])
     module = module_named(head.value, c) if isinstance(head, ast.Attribute) else None
-    if module is None or not isinstance(head, ast.Attribute):
-        if check_expr(head, c).type is not POISON:
+    port = declared_port(module, head, c) if module is not None and isinstance(head, ast.Attribute) else None
+    if module is not None and port is not None and port.type is STREAM and c.place != "function":
+        out.append(stmt.Emit(module.name, port.name, items, span))
+        return
+    if module is None:
+        items = (*items, check_expr(head, c))
+        if items[-1].type is not POISON:
             help = "declare one: 'using Log:' with 'stream stdout' under it"
             c.error("K056", f"{c.text(head.span)} is no stream", head.span, help)
-        return
-    port = declared_port(module, head, c)
-    if port is None or port.type is POISON:
-        return
-    if port.type is not STREAM:
-        c.error("K056", f"{module.name}.{port.name} is {a(port.type)}, not a stream", head.span)
-    elif c.place == "function":
+    elif port is not None and port.type is STREAM:
         help = "do it in the event that calls the function"
         c.error("K027", "a function changes nothing: it cannot write to a stream", span, help)
-    elif all(item.type is not POISON for item in items):
-        out.append(stmt.Emit(module.name, port.name, tuple(items), span))
+    elif port is not None and port.type is not POISON:
+        c.error("K056", f"{module.name}.{port.name} is {a(port.type)}, not a stream", head.span)
+    out.append(draft.Wrong(items, span))
 
 
 def _text(value: ir.Expr, c: Context) -> ir.Expr:
@@ -197,50 +214,26 @@ def _text(value: ir.Expr, c: Context) -> ir.Expr:
     if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
         return ir.Builtin("str", (value,), STRING, value.span)
     help = "show its parts, or its length"
-    return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help)
+    return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help, (), value)
 
 
 # What leads elsewhere
 
 
 def _if(node: tree.If, c: Context, out: Out) -> None:
-    """Each branch knows its own condition and that those before it failed; afterwards holds what all branches leave."""
+    """`elif` becomes an If in `orelse`."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
-    poisoned = c.poisoned
-    ends: list[Path | None] = []
     for branch in node.branches:
-        start = len(c.mentions)
         held = condition(branch.condition, c, "the condition of 'if'")
-        before = otherwise = c.path
-        if before is not None and held.type is BOOL:
-            passed = Condition(held, before)
-            if (
-                not c.poisoned
-                and not is_open(held, c.mentions, start)
-                and bounds.impossible(passed.formula, before.flow)
-            ):
-                text = c.text(branch.condition.span)
-                c.warn("K043", f"this branch can never run: {text} never holds here", branch.span)
-            c.path, otherwise = before.passing(passed), before.failing(passed)
-        c.poisoned = poisoned or held.type is POISON
-        block = check_block(branch.block, c)
-        ends.append(c.path)
-        checked.append((held, block, branch.span))
-        c.path = otherwise
-        c.poisoned = c.poisoned or held.type is POISON
+        checked.append((held, check_block(branch.block, c), branch.span))
     orelse = check_block(node.orelse, c) if node.orelse else ()
-    ends.append(c.path)
-    c.poisoned = poisoned
-    c.path = joined(ends)
-    if any(held.type is POISON for held, _, _ in checked):
-        return
     for held, block, span in reversed(checked):
         orelse = (stmt.If(held, block, orelse, span),)
     out.extend(orelse)
 
 
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
-    """The event as a whole is the transaction: the block stands where the word stood."""
+    """The event as a whole is the transaction: the block stands behind the word."""
     if c.atomic:
         c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
     elif c.place == "function":
@@ -248,6 +241,7 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
     elif c.place == "init":
         help = "no robot may read shared variables yet, so nothing can be lost: leave it out"
         c.error("K045", "init cannot be atomic", node.span, help)
+    out.append(draft.Atomic(node.span))
     c.atomic += 1
     out.extend(check_block(node.block, c))
     c.atomic -= 1
@@ -255,37 +249,31 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
 
 def _return(node: tree.Return, c: Context, out: Out) -> None:
     if c.place != "function":
-        check_expr(node.value, c)
+        value = check_expr(node.value, c)
         c.error("K028", "'return' has no function to leave", node.span, "'stop' holds a robot for good")
-        c.path = None
-        return
-    value = check_expr(node.value, c, c.result)
-    if c.result is None:
-        c.result = value.type
-    value = fitting(value, c.result, "the result", c)
-    c.path = None
-    if value.type is not POISON and c.result is not POISON:
-        out.append(stmt.Return(value, node.span))
+    else:
+        value = check_expr(node.value, c, c.result)
+        if c.result is None:
+            c.result = value.type
+        value = fitting(value, c.result, "the result", c)
+    out.append(stmt.Return(value, node.span))
 
 
 def _break(node: tree.Break, c: Context, out: Out) -> None:
     if not c.loops:
         c.error("K028", "'break' has no loop to leave", node.span)
-    c.path = None
     out.append(stmt.Break(node.span))
 
 
 def _continue(node: tree.Continue, c: Context, out: Out) -> None:
     if not c.loops:
         c.error("K028", "'continue' has no loop to go on with", node.span)
-    c.path = None
     out.append(stmt.Continue(node.span))
 
 
 def _stop(node: tree.Stop, c: Context, out: Out) -> None:
     if c.place == "function":
         c.error("K027", "a function cannot stop its robot", node.span, "'return' a result, and stop in the event")
-    c.path = None
     out.append(stmt.Stop(node.span))
 
 
@@ -294,8 +282,7 @@ def _nothing(node: tree.Pass, c: Context, out: Out) -> None:
 
 
 def _broken(node: tree.BrokenStmt, c: Context, out: Out) -> None:
-    """What it does is not known: indices and divisors behind it are not judged."""
-    c.poisoned = True
+    out.append(draft.Unread(node.span))
 
 
 STATEMENTS.update(

@@ -6,9 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeGuard
 
-from koordgen.lang.check import bounds
-from koordgen.lang.check.base import a, argument, check_expr, fitting, has_call
-from koordgen.lang.check.context import PREDEFINED, Context, learn
+from koordgen.lang.check.base import a, argument, check_expr, fitting, has_call, is_poisoned
+from koordgen.lang.check.context import PREDEFINED, Context
 from koordgen.lang.check.expressions.call import no_method, positional, skip
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
@@ -36,6 +35,7 @@ from koordgen.lang.ir.decl import (
     Shared,
     SpecFunction,
 )
+from koordgen.lang.ir.draft import SlotPlace
 from koordgen.lang.ir.types import INT, POINT, POISON, MapOf, RecordType, Sequence, TupleOf, Type, list_of
 from koordgen.lang.node import Node
 from koordgen.lang.syntax import expr as ast
@@ -44,7 +44,7 @@ from koordgen.lang.syntax import expr as ast
 class Target(Node):
     """`place` is written with `put(new)`, where `new` is the new value of what `read` reads: the whole, or a part."""
 
-    place: stmt.Place
+    place: stmt.Place | SlotPlace
     read: ir.Expr
     put: Callable[[ir.Expr], ir.Expr]
     whole: bool
@@ -96,7 +96,6 @@ def _named(node: ast.Name, c: Context) -> Target | None:
     if name not in c.entities:
         _unknown(node, c)
         return None
-    c.mention(name)
     match c.entities[name]:
         case None:
             pass
@@ -142,12 +141,9 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
     name = entity.name
     if refused("the variable ", name, node.value.span, c) is not None:
         return None
-    if not bounds.is_own(index, c):
-        message = f"{c.text(node.span)} may be another robot's slot; a robot writes {name}[pid] only"
-        c.error("K021", message, node.span, f"write {name}[pid] = ...")
-        return None
     read = ir.SlotRead(name, ir.Pid(INT, index.span), True, entity.type, node.span)
-    return Target(stmt.OwnSlot(name), read, _same, True)
+    place = stmt.OwnSlot(name) if type(index) is ir.Pid else SlotPlace(name, index, node.span)
+    return Target(place, read, _same, True)
 
 
 def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
@@ -192,9 +188,7 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
         if not isinstance(found, ir.At):
             return None
         return _part(outer, found, lambda new: ir.Builtin("updated", (read, found.index, new), type_, node.span))
-    path, c.path = c.path, None  # that the index may be wrong as well helps nobody
     part = element(read, index, node, c)
-    c.path = path
     if part.type is not POISON:
         message = f"{c.text(node.span)} is a part of {a(type_)} and cannot be assigned"
         c.error("K022", message, node.span, "assign it as a whole")
@@ -228,7 +222,6 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
         return index
     name = c.mint("index")
     c.hoisted.append(stmt.Let(name, index.type, index, index.span))
-    learn(stmt.TempPlace(name), index, c)
     return ir.TempRead(name, index.type, index.span)
 
 
@@ -273,16 +266,14 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
     types = _arguments(type_, name)
     takes = f"{name} takes ({', '.join(map(str, types))})"
     nodes = positional(node, name, (len(types),), takes, c)
-    if nodes is None:
+    if not isinstance(nodes, tuple):
         return None
     args = [
         argument(check_expr(arg, c, wanted), wanted, f"an argument of {name}", c)
         for arg, wanted in zip(nodes, types, strict=True)
     ]
-    if any(arg.type is POISON for arg in args):
+    if is_poisoned(args):
         return None
-    if name == "insert":
-        bounds.end_proved(args[0], node.args[0].span, c)
     return target, None, ir.Builtin(update, (target.read, *args), type_, node.span)
 
 
@@ -304,17 +295,16 @@ def _pop(target: Target, node: ast.Call, c: Context) -> Update | None:
     many = (0,) if type_.name == "Queue" else (0, 1)
     help = "the front goes first" if type_.name == "Queue" else "pop() takes the last element, pop(i) that at i"
     nodes = positional(node, "pop", many, help, c)
-    if nodes is None:
+    if not isinstance(nodes, tuple):
         return None
     if type_.name == "Queue":
         rest = ir.Builtin("without", (read, ir.Const(0, INT, span)), type_, span)
         return target, ir.Builtin("first", (read,), type_.element, span), rest
     if not nodes:
         last = ir.Binary("-", ir.Builtin("len", (read,), INT, span), ir.Const(1, INT, span), True, INT, span)
-        value = ir.At(read, last, bounds.holds_some(read, c), type_.element, span)
+        value = ir.At(read, last, False, type_.element, span)
         return target, value, ir.Builtin("popped", (read,), type_, span)
     index = hoisted(fitting(check_expr(nodes[0], c), INT, "an index", c), c)
     if index.type is POISON:
         return None
-    proved = bounds.element_proved(read, index, span, c)
-    return target, ir.At(read, index, proved, type_.element, span), ir.Builtin("without", (read, index), type_, span)
+    return target, ir.At(read, index, False, type_.element, span), ir.Builtin("without", (read, index), type_, span)

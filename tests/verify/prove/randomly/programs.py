@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from random import Random
 from typing import NamedTuple
 
-from koordgen.lang.check.sections.program import check
+from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.source import Source

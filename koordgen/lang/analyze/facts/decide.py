@@ -13,7 +13,7 @@ from itertools import product
 from math import gcd
 from typing import assert_never
 
-from koordgen.lang.analyze.linear import (
+from koordgen.lang.analyze.facts.linear import (
     N_SYS,
     PID,
     And,

@@ -1,41 +1,39 @@
-"""Events that wait for a bool that nothing sets but events that wait as well: none of them can ever run."""
+"""K041, beside K041 and K042 of other rules: events that wait for a bool that only waiting events set never run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from koordgen.lang.analyze.walk import nodes
-from koordgen.lang.check.context import Context
 from koordgen.lang.diagnostics import Label
+from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import BOOL
-from koordgen.lang.syntax.decl import BrokenSection
-from koordgen.lang.syntax.expr import Broken
-from koordgen.lang.syntax.stmt import BrokenStmt
 
 Starts = Mapping[str, object]  # local bools, with the values that they start with
 
 
-def judge_waiting(
-    locals_: tuple[decl.Local, ...], init: stmt.Block, events: tuple[decl.Event, ...], c: Context
-) -> None:
-    """Warns of each event whose guard asks for a local bool to be other than it starts, when only such events would
-    make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text."""
-    starts = {v.name: v.initial.value for v in locals_ if v.type is BOOL and type(v.initial) is ir.Const}
-    asked = [_asked(event.guard, starts) for event in events]
-    if not any(asked) or any(d.severity == "error" for d in c.found):
+def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings: Findings) -> None:
+    """Warn of each event whose guard asks for a local bool to be other than it starts, when only such events would
+    make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text. `is_whole` returns
+    whether all of the text could be read."""
+    starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
+    if not starts:
         return
-    stuck = _stuck(asked, init, events, starts)
-    if not stuck or any(isinstance(node, (Broken, BrokenStmt, BrokenSection)) for node in nodes(c.program)):
+    events = program.events
+    asked = [_asked(event.guard, starts) for event in events]
+    if not any(asked) or findings.has_errors():
+        return
+    stuck = _stuck(asked, program.init, events, starts)
+    if not stuck or not is_whole():
         return
     makers: dict[str, list[str]] = {flag: [] for flag in stuck}
     for event in events:
         for flag in _turned(event.effect, starts) & stuck:
             makers[flag].append(event.name)
-    told = {(d.span.line, d.span.column) for d in c.found if d.code in ("K041", "K042")}
-    spans = {v.name: v.span for v in locals_}
+    told = {(d.span.line, d.span.column) for d in findings.found if d.code in ("K041", "K042")}
+    spans = {v.name: v.span for v in program.locals}
     for event, flags in zip(events, asked, strict=True):
         own = min(flags & stuck, default=None)
         if own is None or not told.isdisjoint((s.line, s.column) for s in (event.span, event.guard.span)):
@@ -44,11 +42,11 @@ def judge_waiting(
         old, new = starts[own], not starts[own]
         message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
         help = f"let init or another event make it {new}, or ask for '{own if old else f'not {own}'}'"
-        c.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
+        findings.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
 
 
 def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
-    """The bools that must be other than they start for a guard to hold: those that it joins by `and`."""
+    """Return the bools that must be other than they start for a guard to hold: those that it joins by `and`."""
     found: set[str] = set()
     pending = [guard]
     while pending:
@@ -63,7 +61,7 @@ def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
 
 
 def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts) -> set[str]:
-    """The bools that keep what they start with: the most for which that is consistent."""
+    """Return the bools that keep what they start with: the most for which that is consistent."""
     waiting: dict[str, list[int]] = {}
     for position, flags in enumerate(asked):
         for flag in flags:
@@ -91,7 +89,7 @@ def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ..
 
 
 def _turned(block: stmt.Block, starts: Starts) -> set[str]:
-    """The bools that a block may make other than they start."""
+    """Return the bools that a block may make other than they start."""
     found: set[str] = set()
     for statement in statements(block):
         match statement:

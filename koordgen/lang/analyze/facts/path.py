@@ -3,12 +3,13 @@ at most points nobody does, and to find it is most of what a check would cost.""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from typing import Any
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.facts import Flow, formula, learned
-from koordgen.lang.analyze.linear import Formula
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.linear import Formula
+from koordgen.lang.analyze.facts.terms import Flow, formula, learned
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 
@@ -98,20 +99,16 @@ def _join(*flows: Any) -> Flow:
 # Conditions that need no judgement
 
 
-def is_open(condition: ir.Expr, mentions: Mapping[str, int], start: int) -> bool:
-    """Whether both a condition and its opposite are sure to be possible: it compares numbers that are written out with
-    variables of which nothing is known, since they are not mentioned before `start`, and names each once. False: it is
-    to be judged."""
+def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
+    """Return whether both a condition and its opposite are sure to be possible: the condition compares literal numbers
+    with variables that are not `mentioned` before it, so nothing is known of them, and names each variable once. False:
+    the condition is to be judged."""
     names: list[str] = []
-    return (
-        _free(condition, names)
-        and len(names) == len(set(names))
-        and all(mentions.get(name, -1) >= start for name in names)
-    )
+    return _free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
 
 
 def _free(node: ir.Expr, names: list[str]) -> bool:
-    """Whether a condition is of that form; its variables are added to `names`."""
+    """Return whether a condition is of that form. Add its variables to `names`."""
     kind = type(node)
     if kind is ir.Logic:
         return _free(node.left, names) and _free(node.right, names)  # type: ignore[union-attr]

@@ -7,8 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.linear import UNKNOWN, And, AtLeastZero, Fact, Formula, Length, Linear, Or, Remainder, Var
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.linear import (
+    UNKNOWN,
+    And,
+    AtLeastZero,
+    Fact,
+    Formula,
+    Length,
+    Linear,
+    Or,
+    Remainder,
+    Var,
+)
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk

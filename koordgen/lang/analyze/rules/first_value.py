@@ -1,4 +1,4 @@
-"""First values of params, variables and fields: known in advance, so one that robots may not keep is an error.
+"""K057: first values of params, variables and fields are known in advance; one that robots may not keep is an error.
 
 The semantics evaluates them. It is imported where something is to be evaluated: most first values are literals.
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from koordgen.lang.analyze.number import RANGE, too_large
+from koordgen.lang.analyze.facts.number import RANGE, too_large
+from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POISON, Type
@@ -25,6 +26,14 @@ class Flaw(NamedTuple):
     span: Span | None
     reason: str
     help: str
+
+
+def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
+    """Report a first value that does not exist, or that robots may not keep."""
+    wrong = flaw_of(value, type_, {name: param.default for name, param in a.params.items()})
+    if wrong is not None:
+        what = f"the first value of {name}" if wrong.span is None else a.text(wrong.span)
+        a.error("K057", f"{what} {wrong.reason}", wrong.span or value.span, wrong.help)
 
 
 def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:

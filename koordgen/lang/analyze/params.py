@@ -9,8 +9,8 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 
-from koordgen.lang.check.first import flaw_of
-from koordgen.lang.check.types import excess
+from koordgen.lang.analyze.rules.first_value import flaw_of
+from koordgen.lang.ir.capacity import excess
 from koordgen.lang.ir.decl import Local, Program, Record, Shared
 from koordgen.lang.ir.expr import Builtin, Const, Expr, Make, Unary
 from koordgen.lang.ir.types import (

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.facts import Flow, term
-from koordgen.lang.analyze.flow import independent
-from koordgen.lang.analyze.linear import Formula, Linear
-from koordgen.lang.analyze.walk import parts, statements
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.flow import independent, variable_of
+from koordgen.lang.analyze.facts.linear import Formula, Linear
+from koordgen.lang.analyze.facts.terms import Flow, term
+from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import children, walk
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
-from koordgen.lang.syntax import expr as ast
-from koordgen.lang.syntax import stmt as tree
 
 
 class Loop(NamedTuple):
-    """A `for` whose block is being checked; `before` is known where it begins. `changed` are the variables around it
+    """A `for` whose block is being judged. `name`: its variable as the program calls it, `temp`: in a Flow. `before` is
+    known where it begins. `changed` are the variables around it
     that its block may change; of those in `sized` the lengths stay."""
 
     name: str
@@ -26,7 +27,7 @@ class Loop(NamedTuple):
     before: Flow
     changed: frozenset[str]
     sized: frozenset[str]
-    block: tree.Block
+    block: stmt.Block
 
 
 class Runs(NamedTuple):
@@ -37,13 +38,13 @@ class Runs(NamedTuple):
 
 
 def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
-    """The last run and the first, where every run evaluates what stands at `span`; None where `terms`, as they are
+    """Return the last run and the first, if every run evaluates the expression at `span`; None if `terms`, as they are
     known there, may depend on what earlier runs changed."""
     ends = _ends(loop)
     if (
         ends is None
         or not all(independent(item, loop.changed, loop.sized) for item in terms)
-        or any(isinstance(s, _LEAVING) or _assigns(s, loop.name) for s in statements(loop.block))
+        or any(_may_skip(node, loop) for node in walk(loop.block))
         or not _in_block(loop.block, span)
     ):
         return None
@@ -52,7 +53,7 @@ def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
 
 
 def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
-    """The variable's first and last value, and that there is one; None where that is not known."""
+    """Return the variable's first and last value, and that there is one; None where that is not known."""
     match loop.values:
         case ir.Ids():
             size = linear.variable(linear.N_SYS)
@@ -67,32 +68,29 @@ def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
             return None
 
 
-_LEAVING = (tree.Break, tree.Continue, tree.Return, tree.Stop, tree.BrokenStmt)
+_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.Unread)
 
 
-def _assigns(statement: tree.Stmt, name: str) -> bool:
-    return (
-        isinstance(statement, tree.Assign) and isinstance(statement.target, ast.Name) and statement.target.name == name
-    )
+def _may_skip(node: Node, loop: Loop) -> bool:
+    """Return whether a statement may end a run early, or changes the variable of the loop."""
+    return isinstance(node, _LEAVING) or (isinstance(node, stmt.Assign) and variable_of(node.place) == loop.temp)
 
 
-def _in_block(block: tree.Block, span: Span) -> bool:
-    """Whether each run of a block evaluates what stands there."""
+def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
+    """Return whether each run of a block evaluates what stands there."""
     for statement in block:
-        parts: tuple[ast.Expr | None, ...]
+        parts: tuple[ir.Expr, ...]
         match statement:
-            case tree.Assign(target, _, value):
-                parts = (target, value)
-            case tree.Declare(value=value) | tree.Evaluate(value):
+            case stmt.Assign(draft.SlotPlace(_, index), value):
+                parts = (index, value)
+            case stmt.Assign(_, value) | stmt.Let(value=value):
                 parts = (value,)
-            case tree.If(branches):
-                parts = (branches[0].condition,)
-            case tree.For(values=values):
+            case stmt.If(condition):
+                parts = (condition,)
+            case stmt.For(values=values):
                 parts = (values,)
-            case tree.Atomic(inner):
-                if _in_block(inner, span):
-                    return True
-                continue
+            case stmt.Emit(items=items) | draft.Wrong(items):
+                parts = items
             case _:
                 continue
         if any(_in_expression(part, span) for part in parts):
@@ -100,21 +98,16 @@ def _in_block(block: tree.Block, span: Span) -> bool:
     return False
 
 
-def _in_expression(root: ast.Expr | None, span: Span) -> bool:
-    """Whether an expression always evaluates what stands there: no `and`, `or`, `if` or chain decides about it."""
-    pending: list[object] = [root]
+def _in_expression(root: ir.Expr, span: Span) -> bool:
+    """Return whether an expression always evaluates what stands there: no `and`, `or`, `if` or quantifier decides about
+    it."""
+    pending: list[Node] = [root]
     while pending:
         match pending.pop():
-            case tuple() as items:
-                pending.extend(items)
-            case ast.Logic(left=first) | ast.Conditional(condition=first) | ast.Quantified(domain=first):
+            case ir.Logic(left=first) | ir.Conditional(condition=first) | ir.Quantified(domain=first):
                 pending.append(first)
-            case ast.Compare(first, rest):
-                pending += [first, rest[0][1]]
-            case Node() as node:
+            case node:
                 if node.span is span:  # type: ignore[attr-defined]
                     return True
-                pending.extend(parts(node))
-            case _:
-                pass
+                pending.extend(children(node))
     return False

@@ -40,6 +40,11 @@ def broken_names(program: decl.Program) -> frozenset[str]:
     return frozenset(found)
 
 
+def is_whole(program: decl.Program) -> bool:
+    """Return whether a program contains nothing that could not be read."""
+    return not any(isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)) for node in nodes(program))
+
+
 def statements(block: stmt.Block) -> Iterator[stmt.Stmt]:
     """All statements of a block and of the blocks in it."""
     pending = list(block)

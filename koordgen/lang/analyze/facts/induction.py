@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, assert_never
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.decide import unsat
-from koordgen.lang.analyze.facts import Flow, formula, learned, term
-from koordgen.lang.analyze.flow import independent, names_of, variable_of
-from koordgen.lang.analyze.linear import Formula, Linear
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import unsat
+from koordgen.lang.analyze.facts.flow import independent, names_of, variable_of
+from koordgen.lang.analyze.facts.linear import Formula, Linear
+from koordgen.lang.analyze.facts.terms import Flow, formula, learned, term
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import statements
@@ -148,15 +148,16 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
 
 def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
     """Return the facts known behind a loop within the block: those about variables that it may write are dropped."""
-    changed = {name for name, _ in _writes(loop.block)}
-    sized = changed - {name for name, same_length in _writes(loop.block) if not same_length}
+    changed = {name for name, _ in writes(loop.block)}
+    sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
         changed.update(f"temp {name}" for name in loop.names)
     return flow.forgetting(frozenset(changed), frozenset(sized))
 
 
-def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
-    """The variables that a block may write; whether a write leaves the length as it was."""
+def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
+    """Yield the variables that a block may write, by their names in a Flow, and whether a write leaves the length as it
+    was."""
     for statement in statements(block):
         match statement:
             case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
@@ -174,12 +175,13 @@ def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
 
 def written_down(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
     """The program's loop invariants, each condition that `and` joins by itself."""
-    return [_holds(part) for invariant in invariants for part in _conjuncts(invariant.formula)]
+    return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
 
 
-def _conjuncts(node: ir.Expr) -> list[ir.Expr]:
+def conjuncts(node: ir.Expr) -> list[ir.Expr]:
+    """Return what a condition joins by `and`."""
     if isinstance(node, ir.Logic) and node.op == "and":
-        return _conjuncts(node.left) + _conjuncts(node.right)
+        return conjuncts(node.left) + conjuncts(node.right)
     return [node]
 
 
@@ -200,7 +202,7 @@ def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
             here = linear.variable(turns.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
             found.append(_at_most(read, linear.combine(turns.stop, linear.constant(-1))))
-    for part in _conjuncts(condition) if condition is not None else ():
+    for part in conjuncts(condition) if condition is not None else ():
         match part:
             case ir.Compare("<" | "<=" | "!=" as op, left, right) if left in reads:
                 found += _within(left, right, int(op == "<="), 1, turns)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from koordgen.lang.analyze import linear
-from koordgen.lang.analyze.flow import Flow, independent, names_of, variable_of
-from koordgen.lang.analyze.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
-from koordgen.lang.analyze.number import number_of
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.flow import Flow, independent, names_of, variable_of
+from koordgen.lang.analyze.facts.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
+from koordgen.lang.analyze.facts.number import number_of
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk

@@ -1,0 +1,101 @@
+"""The analysis of events: what a guard says to the effect behind it, and whether the event can ever run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.facts.path import Condition
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.analyze.rules.hidden_event import Judged, is_hidden
+from koordgen.lang.analyze.rules.never_enabled import MOST_EARLIER, always_holds, can_run
+from koordgen.lang.analyze.rules.opposite_guard import help_by_negation
+from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.ir import decl
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.draft import Atomic
+from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.types import BOOL, POISON
+
+
+def judge_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
+    """Return the events, still without their locks, each with its first `atomic` if it has one."""
+    found: list[tuple[decl.Event, Atomic | None]] = []
+    earlier: list[Judged] = []
+    by_condition: dict[str, list[Judged]] = {}  # those of `earlier`, by one condition of their guards
+    transactions = "atomic" in a.source.text  # else no event need be searched for one
+    for event in written:
+        atomic = _first_atomic(event) if transactions else None
+        judged = _event(event, atomic is not None, earlier, by_condition, a)
+        found.append((judged.event, atomic))
+        earlier.append(judged)
+        by_condition.setdefault(min(judged.conditions), []).append(judged)
+    return found
+
+
+def _first_atomic(event: decl.Event) -> Atomic | None:
+    return next((node for node in walk(event.effect) if isinstance(node, Atomic)), None)
+
+
+def _event(
+    event: decl.Event,
+    transaction: bool,
+    earlier: Sequence[Judged],
+    by_condition: Mapping[str, Sequence[Judged]],
+    a: Analysis,
+) -> Judged:
+    a.enter("guard")
+    a.transaction = transaction
+    assert a.path is not None
+    first = _first(event, transaction, earlier)
+    for other in first[-MOST_EARLIER:]:
+        if other.guard is not None:
+            a.path = a.path.failing(other.guard)
+    guard = judge(event.guard, a)
+    sound = not a.refuted
+    known = Condition(guard, a.path) if guard.type is BOOL else None
+    own = _conditions(event.guard, a)
+    always = False
+    if not is_hidden(event, [other for other in earlier if other.always], first, a):
+        can = known is None or can_run(event, known, first, a)
+        asking_less = [other for text in own for other in by_condition.get(text, ()) if other.conditions <= own]
+        if can and not is_hidden(event, asking_less, first, a):
+            always = known is not None and always_holds(known)
+    a.place = "effect"
+    a.poisoned = known is None
+    a.sites, a.refuted = [], []
+    if known is not None:
+        a.guard, a.path = known, a.path.passing(known)
+    effect = judge_block(event.effect, a)
+    if sound:
+        help_by_negation(event.guard.span, a)
+    judged = decl.Event(event.name, guard, effect, None, event.priority, event.span)
+    return Judged(judged, known, own, always)
+
+
+def _first(event: decl.Event, transaction: bool, earlier: Sequence[Judged]) -> list[Judged]:
+    """Return the events before it in its `priority:` block whose guards are known to be false of all that it sees. A
+    transaction sees shared variables as they are, the guards were judged at the round's start: those are left out."""
+    if event.priority is None:
+        return []
+    block = [other for other in earlier if other.event.priority == event.priority]
+    return [o for o in block if not transaction or (o.guard and not _reads_shared(o.guard.node))]
+
+
+def _reads_shared(guard: ir.Expr) -> bool:
+    return any(isinstance(node, (ir.SlotRead, ir.SlotsRead, ir.SharedRead)) for node in walk(guard))
+
+
+def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
+    """Return the texts of what a guard joins by `and`."""
+    pending, found = [guard], set[str]()
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ir.Make) and node.type is POISON and isinstance(node.items[0], ir.Logic):
+            node = node.items[0]  # joined by `and`, with an error in one side
+        if isinstance(node, ir.Logic) and node.op == "and":
+            pending += [node.left, node.right]
+        else:
+            spread = node.span.line != node.span.end_line  # of which only the first line is at hand: like no other
+            found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
+    return frozenset(found)

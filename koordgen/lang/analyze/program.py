@@ -1,0 +1,96 @@
+"""Both checks of a program: names and types, which yield the IR with drafts, and the analysis of that.
+
+The analysis goes on beside errors of the first check: it judges what has a type.
+"""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.events import judge_events
+from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.locks import locked
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.analyze.rules.first_value import judge_first_value
+from koordgen.lang.analyze.rules.missing_return import judge_end
+from koordgen.lang.analyze.rules.waiting import judge_waiting
+from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.check.sections.program import resolve
+from koordgen.lang.diagnostics import Diagnostic, in_order
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.draft import Section
+from koordgen.lang.ir.expr import Expr
+from koordgen.lang.ir.types import Type
+from koordgen.lang.node import replace
+from koordgen.lang.source import Source
+from koordgen.lang.syntax import decl as ast
+from koordgen.lang.syntax.walk import is_whole
+
+
+def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
+    """Return the typed program, or None where there are errors; and all diagnostics, in the order of the text."""
+    draft, found = resolve(program, source)
+    a = Analysis(source, draft.params)
+    a.found = found
+    checked = analyze(draft, program, a)
+    ordered = in_order(a.found)
+    return (None if any(d.severity == "error" for d in ordered) else checked), ordered
+
+
+def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Program:
+    """Judge a program of drafts; return the program without them."""
+    records = tuple([_record(record, a) for record in program.records])
+    params = tuple([replace(p, default=_first(p.name, p.default, p.type, a)) for p in program.params])
+    shared = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.shared])
+    locals_ = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.locals])
+    functions = tuple([_function(function, a) for function in program.functions])
+    externs = tuple([_contract(function, a) for function in program.externs])
+    a.enter("init")
+    init = judge_block(program.init, a)
+    events, locks = locked(judge_events(program.events, a), shared, a)
+    properties = tuple([replace(p, formula=_formula(p.formula, "property", a)) for p in program.properties])
+    modules = tuple([_module(module, a) for module in program.modules])
+    checked = decl.Program(
+        program.name, program.path, records, program.extern_types, functions, externs, program.specs, params, modules,
+        shared, locals_, locks, init, events, properties,
+    )  # fmt: skip
+    judge_waiting(checked, lambda: is_whole(text), a)
+    return checked
+
+
+def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
+    """Judge the first value of a param, a variable or a field."""
+    before = len(a.found)
+    value = _formula(value, "constant", a)
+    if not a.has_errors(before):
+        judge_first_value(name, value, type_, a)
+    return value
+
+
+def _record(record: decl.Record, a: Analysis) -> decl.Record:
+    fields = zip(record.type.fields, record.defaults, strict=True)
+    return replace(record, defaults=tuple([_first(name, value, type_, a) for (name, type_), value in fields]))
+
+
+def _function(function: decl.Function, a: Analysis) -> decl.Function:
+    a.enter("function")
+    block = judge_block(function.block, a)
+    if a.path is not None:
+        judge_end(function, a)
+    return replace(function, block=block)
+
+
+def _contract(function: decl.ExternFunction, a: Analysis) -> decl.ExternFunction:
+    a.enter("contract")
+    requires = tuple([judge(formula, a) for formula in function.requires])
+    return replace(function, requires=requires, ensures=tuple([judge(formula, a) for formula in function.ensures]))
+
+
+def _module(module: decl.Module, a: Analysis) -> decl.Module:
+    if not module.assumptions:
+        return module
+    assumed = [replace(item, formula=_formula(item.formula, "assume", a)) for item in module.assumptions]
+    return replace(module, assumptions=tuple(assumed))
+
+
+def _formula(formula: Expr, place: Section, a: Analysis) -> Expr:
+    a.enter(place)
+    return judge(formula, a)

@@ -1,0 +1,164 @@
+"""Evidence about an index or a divisor at a point (K030): what cannot hold, examples of what can, and their words."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import Example, find, unsat
+from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, Fact, Formula, Linear
+from koordgen.lang.analyze.facts.number import number_of
+from koordgen.lang.analyze.facts.runs import sure
+from koordgen.lang.analyze.facts.terms import Flow, excludes_zero, has_length, length, names_of, term
+from koordgen.lang.analyze.rules.analysis import Analysis, Site
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import FLOAT, INT
+from koordgen.lang.source import Span
+
+_PID, _SIZE, ZERO = linear.variable(PID), linear.variable(N_SYS), linear.constant(0)
+_LAST = linear.combine(_SIZE, linear.constant(-1))
+_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
+
+
+def help_of(a: Analysis) -> str:
+    """Return the help for an index or a divisor that may be wrong."""
+    return "let the formula say what robots it speaks of" if a.place in ("property", "assume") else _AT_RUN_TIME
+
+
+def open_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
+    """Return what remains to be shown of an index where one side is shown already, in Koord's words."""
+    if value is None or size is None:
+        return ""
+    above, below = never(linear.less(value, ZERO), a), never(linear.at_least(value, size), a)
+    return "" if above == below else f"{index} < {many}" if above else f"{index} >= 0"
+
+
+def untold(open_: str) -> str:
+    """Return the end of a message about a condition that nothing shows; empty for a long one."""
+    return f": nothing says that {open_}" if 0 < len(open_) <= 60 else ""
+
+
+def is_right_by_default(bad: Formula, a: Analysis) -> bool:
+    """Return whether nothing is wrong as long as the params have the values that the program gives them. A fleet file
+    may give others, so it is still checked at run time."""
+    assert a.flow is not None
+    names = names_of(bad)
+    facts = a.flow.relevant(names)
+    names = names.union(*map(names_of, facts))
+    given = [d for name in names if name.startswith("param ") for d in _default(name[6:], a)]
+    return bool(given) and unsat((*facts, bad, *given))
+
+
+def _default(name: str, a: Analysis) -> list[Formula]:
+    """Return the facts that a param's default gives."""
+    param = a.params.get(name)
+    if param is None:
+        return []
+    read = ir.ParamRead(name, param.type, param.span)
+    if param.type is INT:
+        value, var = term(param.default, Flow()), linear.variable(f"param {name}")
+        return [] if value is None else [linear.equal(var, value)]
+    if param.type is FLOAT:
+        number = number_of(param.default)
+        if number is None:
+            return []
+        told: list[Formula] = [Fact((op, read), excludes_zero(op, number)) for op in ("!=", ">", ">=", "<", "<=")]
+        return [*told, Fact(read, number != 0)]
+    if has_length(param.type):
+        many = length(param.default, Flow())
+        return [] if many is None else [linear.equal(linear.variable(linear.Length(f"param {name}")), many)]
+    return []
+
+
+def holds_never(bad: Formula, a: Analysis) -> bool:
+    """Return whether `bad`, with which an index or a divisor would be wrong, cannot hold here. In an effect the
+    question is kept: see `opposite_guard`."""
+    assert a.flow is not None
+    if a.place == "effect":
+        guard = None if a.guard is None else a.guard.formula
+        a.sites.append(Site(tuple([k.formula for k in a.flow.known if k.origin is not guard]), bad))
+    return never(bad, a)
+
+
+def never(condition: Formula, a: Analysis) -> bool:
+    """Return whether a condition cannot hold here."""
+    assert a.flow is not None
+    return unsat((*a.flow.relevant(names_of(condition)), condition))
+
+
+def refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis) -> tuple[Example | None, bool]:
+    """An example of a robot for which `side` holds, and whether that is certain: no matter what else is the case,
+    or because `bad` holds whenever one gets here."""
+    assert a.flow is not None
+    names = [var for value in values for var in linear.variables(value)]
+    if not all(_is_given(name, a) for name in names):
+        return None, False
+    example = find((*a.flow.facts, side), a.defaults)
+    if example is None:
+        return None, False
+    return example, example.certain or never(linear.negate(bad), a)
+
+
+def _is_given(name: object, a: Analysis) -> bool:
+    """Return whether an example gives a variable a value."""
+    return isinstance(name, str) and (name in (PID, N_SYS) or name in a.defaults)
+
+
+def robots_of(side: Formula, value: Linear, example: Example, a: Analysis) -> tuple[str, str]:
+    """The robots for which it goes wrong, and the index in their terms: ("robot N_SYS - 1", "N_SYS")."""
+    assert a.flow is not None
+    here = linear.constant(example.values[PID])
+    for robot in (_LAST, here):
+        if never(And((side, linear.negate(linear.equal(_PID, robot)))), a):
+            return f"robot {linear.show(robot)}", _index(linear.substitute(value, PID, robot), value, example)
+    return "a robot", _index(value, value, example)
+
+
+def _index(shown: Linear, value: Linear, example: Example) -> str:
+    if all(isinstance(var, str) for var, _ in shown.terms):
+        return linear.show(shown)
+    return str(linear.value_of(value, example.values))
+
+
+def example_text(example: Example, value: Linear) -> str:
+    """Return an example in words: "for example pid = 0 of N_SYS = 3"."""
+    others = [n for n in dict.fromkeys(linear.variables(value)) if isinstance(n, str) and n not in (PID, N_SYS)]
+    given = "".join(f", {n.rpartition(' ')[2]} = {example.values[n]}" for n in others)
+    return f"for example pid = {example.values[PID]} of N_SYS = {example.values[N_SYS]}{given}"
+
+
+def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: Span, a: Analysis) -> bool:
+    """Return whether an index was reported that is sure to be wrong in the first or the last run of the loop around.
+    `many`: the size in Koord's words."""
+    runs = None if a.loop is None else sure(a.loop, span, (value, size))
+    if a.loop is None or runs is None:
+        return False
+    here = a.path
+    a.flow = runs.flow
+    found = _wrong_run(runs.values, a.loop.temp, value, size, a)
+    a.path = here
+    if found is None:
+        return False
+    at, such = found
+    message = f"for {a.loop.name} = {linear.show(at)}, {a.text(span)} {wrong}{such}"
+    a.site_error("K030", message, span, f"the first index is 0, and the last is {many} - 1")
+    return True
+
+
+def _wrong_run(
+    runs: tuple[Linear, ...], var: str, value: Linear, size: Linear, a: Analysis
+) -> tuple[Linear, str] | None:
+    """A value of `var`, of those in `runs`, with which an index is wrong for all robots, or else for an example."""
+    bad = linear.Or((linear.at_least(value, size), linear.less(value, ZERO)))
+    for at in runs:
+        now = linear.equal(linear.variable(var), at)
+        if never(And((now, linear.negate(bad))), a) and not never(now, a):
+            return at, ""
+    assert a.flow is not None
+    if not all(_is_given(name, a) for fact in a.flow.facts for name in linear.variables(fact)):
+        return None  # no example is certain
+    for at in runs:
+        index, count = linear.substitute(value, var, at), linear.substitute(size, var, at)
+        bad = linear.Or((linear.at_least(index, count), linear.less(index, ZERO)))
+        example, certain = (None, False) if never(bad, a) else refuted(bad, bad, (index, count), a)
+        if example is not None and certain:
+            return at, f" ({example_text(example, linear.combine(index, count))})"
+    return None

@@ -1,0 +1,49 @@
+"""K042: an event whose guard holds only where that of an earlier event holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from koordgen.lang.analyze.facts.path import Condition
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.findings import Findings
+from koordgen.lang.ir import decl
+
+
+class Judged(NamedTuple):
+    """An event that was judged: its guard, and the texts of what the guard joins by `and`. `always`: the guard holds in
+    every state."""
+
+    event: decl.Event
+    guard: Condition | None
+    conditions: frozenset[str]
+    always: bool
+
+
+def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judged], findings: Findings) -> bool:
+    """Warn of an event whose guard holds only where that of an event of `hiding` holds. `first` are the events that
+    have priority over it. Return whether it was reported."""
+    ahead = [other for other in hiding if any(other is earlier for earlier in first)]
+    if not hiding:
+        return False
+    other = min(ahead or hiding, key=lambda judged: judged.event.span.line)  # the first in the text is reported
+    name, earlier = event.name, other.event.name
+    label = Label(other.event.span, f"stands before, and {'is always enabled' if other.always else 'asks for no more'}")
+    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, {earlier}'s does"
+    if ahead:
+        message = f"the event {name} can never run: {why}, and {earlier} has priority"
+        help = f"write it before {earlier}, or let {earlier} ask for more"
+    else:
+        message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
+        help = (
+            f"the language allows it, so proofs and explorations include it; if {earlier} is meant to go first, "
+            "write both under 'priority:'; otherwise change a guard"
+        )
+        if event.priority is not None and other.event.priority == event.priority:
+            help = (
+                "the language allows it, because a transaction sees what other robots have committed since the round's "
+                "start; change a guard"
+            )
+    findings.warn("K042", message, event.span, help, (label,))
+    return True

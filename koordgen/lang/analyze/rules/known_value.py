@@ -1,0 +1,46 @@
+"""K012, K057: powers and functions of numbers that are written out, and that have no value."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.facts.number import RANGE, compute, number_of
+from koordgen.lang.analyze.facts.terms import term
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.types import INT
+from koordgen.lang.source import Span
+
+_TAKES = {"sqrt": "numbers from 0 up", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
+_TAKES["acos"] = _TAKES["asin"]
+
+
+def judge_power(value: ir.Binary, a: Analysis) -> None:
+    """Report a power of ints below zero, which is no int, and a power of floats that is no number."""
+    if value.type is INT:
+        _judge_exponent(value.right, value.span, a)
+        return
+    base = number_of(value.left)
+    _judge(value, "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only", a)
+
+
+def _judge_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
+    value = term(exponent, a.flow) if a.flow is not None else None
+    if value is not None and not value.terms and value.constant < 0:
+        help = "with a float on one side it is a float: 2.0 ** -1"
+        a.error("K012", f"an int to the power of {value.constant} is no int", span, help)
+
+
+def judge_function(value: ir.Builtin, a: Analysis) -> None:
+    """Report a function of a number for which it has no value."""
+    _judge(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
+
+
+def _judge(value: ir.Builtin | ir.Binary, help: str, a: Analysis) -> None:
+    if a.path is None or a.poisoned:
+        return
+    span = value.span
+    try:
+        compute(value)
+    except OverflowError:
+        a.error("K057", f"{a.text(span)} is too large for a float", span, RANGE)
+    except ValueError:
+        a.error("K057", f"{a.text(span)} has no value", span, help)

@@ -1,0 +1,89 @@
+"""K040: an event that reads an allwrite variable and writes it may undo another robot's write of the same round."""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import unsat
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.source import Span
+
+
+def judge_write(name: str, span: Span, a: Analysis) -> None:
+    """Report a write to an allwrite variable that the event has read, unless nothing can be lost: under `atomic`, or
+    where one robot alone can be."""
+    if a.place == "init":
+        return  # it has read none
+    if name in a.read_shared and not a.transaction and not a.poisoned and not _only_one_robot(a):
+        help = "another robot may write it in the same round, and one update is lost; under 'atomic:' none is"
+        a.warn("K040", f"this event reads {name} and writes it: an update may be lost", span, help)
+        a.read_shared.discard(name)
+    a.written_shared.add(name)
+
+
+_OTHER = "other pid"
+
+
+def _only_one_robot(a: Analysis) -> bool:
+    """Return whether two robots can never be here in one round: two robots, each with its own pid, variables and ports,
+    but with the same params and the same shared variables, contradict the guard, or what is known here."""
+    if a.flow is None:
+        return True
+    # Shared variables that this event has written are a robot's own until the round ends.
+    own = {f"shared {name}" for name in a.written_shared}
+    here = [fact for fact in a.flow.facts if own.isdisjoint(linear.variables(fact))]
+    return _contradictory(here) or (a.guard is not None and _contradictory([a.guard.formula]))
+
+
+def _contradictory(facts: list[linear.Formula]) -> bool:
+    """Whether the facts cannot hold of two robots."""
+    pid, another, size = linear.variable(linear.PID), linear.variable(_OTHER), linear.variable(linear.N_SYS)
+    return unsat((*facts, *map(_renamed, facts), linear.less(pid, another), linear.less(another, size)))
+
+
+def _renamed(item: linear.Formula) -> linear.Formula:
+    """A condition as it is for another robot."""
+    match item:
+        case linear.AtLeastZero(term):
+            return linear.AtLeastZero(_term(term))
+        case linear.Fact(key, holds):
+            return linear.Fact(_key(key), holds)
+        case linear.And(parts):
+            return linear.And(tuple([_renamed(part) for part in parts]))
+        case linear.Or(parts):
+            return linear.Or(tuple([_renamed(part) for part in parts]))
+        case linear.Unknown():
+            return item
+        case _:
+            assert_never(item)
+
+
+def _is_common(name: str) -> bool:
+    return name.startswith(("param ", "shared "))
+
+
+def _key(key: object) -> object:
+    return key if isinstance(key, str) and _is_common(key) else (_OTHER, key)
+
+
+def _term(term: linear.Linear) -> linear.Linear:
+    return linear.Linear(tuple([(_variable(var), factor) for var, factor in term.terms]), term.constant)
+
+
+def _variable(var: linear.Var) -> linear.Var:
+    match var:
+        case str():
+            return var if var == linear.N_SYS or _is_common(var) else f"other {var}"
+        case linear.Quotient(operand, divisor):
+            return linear.Quotient(_term(operand), divisor)
+        case linear.Remainder(operand, divisor):
+            return linear.Remainder(_term(operand), _term(divisor))
+        case linear.Choice(condition, then, orelse):
+            return linear.Choice(_renamed(condition), _term(then), _term(orelse))
+        case linear.Length(of):
+            return linear.Length(_key(of))
+        case linear.Value(of):
+            return linear.Value(_key(of))
+        case _:
+            assert_never(var)

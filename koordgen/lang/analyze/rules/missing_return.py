@@ -1,0 +1,19 @@
+"""K029: a function that can end without a result."""
+
+from __future__ import annotations
+
+from koordgen.lang.findings import Findings
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir.draft import Unread
+from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.types import POISON
+
+
+def judge_end(function: decl.Function, findings: Findings) -> None:
+    """Report a function whose end some run reaches, unless the text contains what could not be read."""
+    parts = list(walk(function.block))
+    if any(isinstance(part, Unread) for part in parts):
+        return
+    none = function.result is POISON and not any(isinstance(part, stmt.Return) for part in parts)
+    message = f"the function {function.name} {'has no' if none else 'can end without'} 'return'"
+    findings.report("error", "K029", message, function.span, "let every way through it end with 'return value'")

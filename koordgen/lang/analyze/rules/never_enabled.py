@@ -1,0 +1,41 @@
+"""K041, K042: an event whose guard never holds, or only where an event with priority runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import unsat
+from koordgen.lang.analyze.facts.path import Condition, is_open
+from koordgen.lang.analyze.rules.hidden_event import Judged
+from koordgen.lang.diagnostics import Label
+from koordgen.lang.findings import Findings
+from koordgen.lang.ir import decl
+
+MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
+_NOTHING: frozenset[str] = frozenset()
+
+
+def can_run(event: decl.Event, guard: Condition, first: Sequence[Judged], findings: Findings) -> bool:
+    """Return whether a guard may hold where the guards of `first` are false. Warn where it cannot."""
+    if (not first and is_open(guard.node, _NOTHING)) or guard.formula == linear.UNKNOWN:
+        return True
+    name = event.name
+    if unsat((guard.formula,)):
+        findings.warn("K041", f"the event {name} can never run: its guard never holds", event.guard.span)
+        return False
+    nearest = first[-MOST_EARLIER:]
+    failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
+    if failed and unsat((guard.formula, *failed)):
+        labels = tuple([Label(other.event.span, "has priority") for other in nearest])
+        message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
+        findings.warn("K042", message, event.span, "write it before these, or let them ask for more", labels)
+        return False
+    return True
+
+
+def always_holds(guard: Condition) -> bool:
+    """Return whether a guard holds in every state."""
+    if is_open(guard.node, _NOTHING) or guard.formula == linear.UNKNOWN:
+        return False
+    return unsat((linear.negate(guard.formula),))

@@ -1,0 +1,59 @@
+"""K030, K031: an index of an allread variable names a robot of the fleet."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.linear import N_SYS
+from koordgen.lang.analyze.facts.terms import term
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.analyze.rules.evidence import (
+    ZERO,
+    example_text,
+    help_of,
+    holds_never,
+    is_right_by_default,
+    is_wrong_in_a_run,
+    open_side,
+    refuted,
+    robots_of,
+    untold,
+)
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.source import Span
+
+_SIZE = linear.variable(N_SYS)
+
+
+def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
+    """Return whether 0 <= index < N_SYS here, always. Report a wrong or a doubtful index."""
+    if type(index) is ir.Pid:
+        return True
+    if a.flow is None or a.poisoned:
+        return False
+    value = term(index, a.flow)
+    if value is not None:
+        sides = (linear.at_least(value, _SIZE), linear.less(value, ZERO))
+        bad = linear.Or(sides)
+        if holds_never(bad, a):
+            return True
+        if is_right_by_default(bad, a):
+            return False
+        text = a.text(span)
+        for side in sides:
+            example, certain = refuted(side, bad, (value,), a)
+            if example is None:
+                continue
+            robot, shown = robots_of(side, value, example, a)
+            such = example_text(example, value)
+            if certain:
+                a.site_error("K030", f"{robot} reads {text}: index {shown} names no robot ({such})", span)
+            else:
+                a.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, help_of(a))
+            return False
+        if is_wrong_in_a_run(value, _SIZE, "N_SYS", "names no robot", span, a):
+            return False
+    open_ = open_side(value, _SIZE, a.text(index.span), "N_SYS", a)
+    check = f"'if {open_ or f'0 <= {a.text(index.span)} < N_SYS'}:' around it shows it"
+    help = help_of(a) if a.place in ("property", "assume") or len(check) > 80 else f"{help_of(a)}; {check}"
+    a.warn("K031", f"{a.text(span)} may name no robot{untold(open_)}", span, help)
+    return False

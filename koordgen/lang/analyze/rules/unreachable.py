@@ -1,0 +1,48 @@
+"""K043: a statement, a branch or a loop that can never run."""
+
+from __future__ import annotations
+
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.decide import unsat
+from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula
+from koordgen.lang.analyze.facts.terms import Flow, names_of
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.source import Span
+
+
+def _is_impossible(condition: Formula, before: Flow) -> bool:
+    """Return whether a condition contradicts what is known."""
+    if condition is linear.UNKNOWN:
+        return False
+    names = names_of(condition)
+    facts = before.relevant(names)
+    if not facts and PID not in names and N_SYS not in names:
+        # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.
+        match condition:
+            case Fact():
+                return False
+            case AtLeastZero(value) if value.terms:
+                return False
+            case And((AtLeastZero(first), AtLeastZero(second))) if (
+                len(first.terms) == 1 and first.constant == -second.constant
+            ):
+                return False
+    return unsat((*facts, condition))
+
+
+def judge_statement(span: Span, a: Analysis) -> None:
+    """Warn of the first statement behind one that every run leaves."""
+    a.warn("K043", "this statement can never run: every way to it has stopped or left", span)
+
+
+def judge_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
+    """Warn of a branch whose condition contradicts what is known where it is judged."""
+    if _is_impossible(passed, before):
+        a.warn("K043", f"this branch can never run: {a.text(condition.span)} never holds here", span)
+
+
+def judge_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
+    """Warn of a `while` whose condition is false where it begins."""
+    if not a.poisoned and _is_impossible(first, before):
+        a.warn("K043", f"this loop can never run: {a.text(condition.span)} does not hold here", span)

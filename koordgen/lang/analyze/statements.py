@@ -1,0 +1,319 @@
+"""The analysis of statements: what is known before and behind each, and the rules asked there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.facts import linear
+from koordgen.lang.analyze.facts.flow import Flow, independent
+from koordgen.lang.analyze.facts.induction import Step, Turns, behind, counters, kept, knowing, writes, written_down
+from koordgen.lang.analyze.facts.path import Condition, Path, is_open, joined
+from koordgen.lang.analyze.facts.runs import Loop
+from koordgen.lang.analyze.facts.terms import formula, range_facts, term
+from koordgen.lang.analyze.rules.analysis import Analysis
+from koordgen.lang.analyze.rules.loop_end import judge_end
+from koordgen.lang.analyze.rules.lost_update import judge_write
+from koordgen.lang.analyze.rules.own_slot import is_own
+from koordgen.lang.analyze.rules.unreachable import judge_branch, judge_loop, judge_statement
+from koordgen.lang.ir import draft, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.types import BOOL, POISON
+
+MOST_LOOPS = 4  # within one another; in deeper ones nothing is looked for
+_DOUBTS = frozenset(("K030", "K031", "K032", "K033", "K034"))
+
+
+def judge_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
+    """Judge the statements of a block, and return them without drafts. `a.path` is None if no run gets to the end."""
+    judged: list[stmt.Stmt] = []
+    told = a.path is None
+    for statement in block:
+        if a.path is None and not told:
+            judge_statement(statement.span, a)
+            told = True
+        found = _statement(statement, a)
+        if found is not None and not _is_poisoned(found):
+            judged.append(found)
+    return tuple(judged)
+
+
+def _is_poisoned(statement: stmt.Stmt) -> bool:
+    """Return whether a statement has no meaning because of an error in it."""
+    match statement:
+        case stmt.Assign(value=value) | stmt.Let(value=value) | stmt.Return(value) | stmt.For(values=value):
+            return value.type is POISON
+        case stmt.If(condition) | stmt.While(condition):
+            return condition.type is POISON
+        case _:
+            return False
+
+
+def _statement(statement: draft.Draft, a: Analysis) -> stmt.Stmt | None:
+    match statement:
+        case stmt.Assign():
+            return _assign(statement, a)
+        case stmt.Let(name, type_, value, span):
+            value = judge(value, a)
+            _learn(stmt.TempPlace(name), value, a)
+            return stmt.Let(name, type_, value, span)
+        case stmt.If():
+            return _if(statement, a)
+        case stmt.For():
+            return _for(statement, a)
+        case stmt.While():
+            return _while(statement, a)
+        case stmt.Emit(module, port, items, span):
+            return stmt.Emit(module, port, tuple([judge(item, a) for item in items]), span)
+        case stmt.Return(value, span):
+            value = judge(value, a)
+            a.path = None
+            return stmt.Return(value, span)
+        case stmt.Break() | stmt.Continue() | stmt.Stop():
+            a.path = None
+            return statement
+        case draft.Wrong(parts):
+            for part in parts:
+                judge(part, a)
+        case draft.Unread():
+            a.poisoned = True  # what it does is not known: indices and divisors behind it are not judged
+        case draft.Atomic():
+            pass
+    return None
+
+
+def _learn(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
+    """Behind `place = value`: what was known of the place is gone, and its new value may be known."""
+    if a.path is not None:
+        a.path = a.path.assigning(place, value)
+
+
+def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt | None:
+    place: stmt.Place | draft.SlotPlace = node.place
+    if isinstance(place, draft.SlotPlace):
+        place = draft.SlotPlace(place.name, judge(place.index, a), place.span)
+        own = is_own(place, a)
+        value = judge(node.value, a)
+        if not own:
+            return None
+        place = stmt.OwnSlot(place.name)
+    else:
+        value = judge(node.value, a)
+    if isinstance(place, (stmt.LocalPlace, stmt.SharedPlace)):
+        a.mentioned.add(place.name)
+    if isinstance(place, stmt.SharedPlace):
+        judge_write(place.name, node.span, a)
+    _learn(place, value, a)
+    return node if place is node.place and value is node.value else stmt.Assign(place, value, node.span)
+
+
+def _if(node: stmt.If, a: Analysis) -> stmt.If:
+    """Each branch knows that its own condition holds, or that it does not; behind it holds what both branches leave."""
+    mentioned = a.mentioned.copy()
+    condition = judge(node.condition, a)
+    before = otherwise = a.path
+    poisoned = a.poisoned
+    if before is not None and condition.type is BOOL:
+        passed = Condition(condition, before)
+        if not poisoned and not is_open(condition, mentioned):
+            judge_branch(condition, passed.formula, node.span, before.flow, a)
+        a.path, otherwise = before.passing(passed), before.failing(passed)
+    a.poisoned = poisoned or condition.type is POISON
+    then = judge_block(node.then, a)
+    end, a.path = a.path, otherwise
+    orelse = judge_block(node.orelse, a)
+    a.poisoned = poisoned
+    a.path = joined([end, a.path])
+    return stmt.If(condition, then, orelse, node.span)
+
+
+# Loops: what is known in them and behind them
+
+
+def _for(node: stmt.For, a: Analysis) -> stmt.For:
+    values = judge(node.values, a)
+    invariants = _invariants(node.invariants, a)
+    names = node.names
+    single = len(node.types) == 1 and len(names) == 1
+    counted = isinstance(values, (ir.Range, ir.Ids))
+    before = a.flow
+    changed, sized = _changed(node.block)
+    after = before.forgetting(changed, sized) if before is not None else None
+    a.flow = after
+    around, a.loop = a.loop, None
+    facts: list[linear.Formula] = []
+    if before is not None and after is not None and single:
+        facts += range_facts(names[0], values, before, after, changed, sized)
+        if counted:
+            name = _written_name(names[0], a.text(node.span))
+            a.loop = Loop(name, f"temp {names[0]}", values, before, changed, sized, node.block)
+
+    def enter(flow: Flow) -> Flow:
+        for fact in facts:
+            flow = flow.knowing(fact)
+        return flow
+
+    def turns(block: stmt.Block) -> Turns:
+        assert before is not None and after is not None
+        if not (counted and names):
+            return Turns(before, after, changed, sized, block, enter, _same, _same, _same, _same)
+        counting = _counting(names[0], values, before, changed, sized, block)
+        return Turns(before, after, changed, sized, block, enter, _same, *counting)
+
+    block = _turn(node.block, after, enter, turns, invariants, None, a)
+    a.loop = around
+    a.path = None if after is None else _behind(turns(block), invariants, None)
+    return stmt.For(names, node.types, values, block, node.span, invariants)
+
+
+def _written_name(temp: str, head: str) -> str:
+    """Return how the program calls the variable of a loop, whose temp may have a number behind its name."""
+    name = re.sub(r"_\d+$", "", temp)
+    return temp if re.search(rf"\b{temp}\b", head) else name
+
+
+def _while(node: stmt.While, a: Analysis) -> stmt.While:
+    invariants = _invariants(node.invariants, a)
+    before = a.flow
+    changed, sized = _changed(node.block)
+    start = before.forgetting(changed, sized) if before is not None else None
+    a.flow = start
+    held = judge(node.condition, a)
+    known: linear.Formula = linear.UNKNOWN
+    poisoned = a.poisoned
+    if before is not None and start is not None and held.type is BOOL:
+        known = formula(held, start)
+        judge_loop(held, formula(held, before), node.span, before, a)
+    a.poisoned = poisoned or held.type is POISON
+    leaves = _breaks(node.block)
+
+    def enter(flow: Flow) -> Flow:
+        return flow.knowing(known)
+
+    def leave(flow: Flow) -> Flow:
+        return flow if leaves else flow.knowing(linear.negate(known))
+
+    def turns(block: stmt.Block) -> Turns:
+        assert before is not None and start is not None
+        return Turns(before, start, changed, sized, block, enter, leave, _same, _same, _same)
+
+    block = _turn(node.block, start, enter, turns, invariants, held, a)
+    a.poisoned = poisoned
+    endless = start is None or (known == linear.TRUE and not leaves)
+    a.path = None if endless else _behind(turns(block), invariants, held)
+    judge_end(node, a)
+    return stmt.While(held, block, node.span, invariants)
+
+
+def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
+    """Monitors report an invariant without a value: its indices and divisors are not judged. What it reads goes into no
+    write."""
+    if not invariants:
+        return ()
+    poisoned, shared, path = a.poisoned, a.read_shared.copy(), a.path
+    a.poisoned = True
+    judged = tuple([stmt.LoopInvariant(judge(i.formula, a), i.span) for i in invariants])
+    a.poisoned, a.read_shared, a.path = poisoned, shared, path
+    return judged
+
+
+def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the variables that a loop's block may change, by their names in a Flow, and those of them whose lengths it
+    leaves alone."""
+    found = list(writes(block))
+    changed = frozenset([name for name, _ in found])
+    return changed, changed - {name for name, same_length in found if not same_length}
+
+
+def _same(flow: Flow) -> Flow:
+    return flow
+
+
+def _counting(
+    unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
+) -> tuple[Step, Step, Step, str, linear.Linear | None]:
+    """Return the steps that put the first, the next and the last value into the variable of a loop that counts; the
+    variable; and the first value that it does not take, where it counts up. A value of which nothing is known may be
+    any."""
+    name = f"temp {unique}"
+    first: linear.Linear | None = linear.constant(0)
+    stop: linear.Linear | None = linear.variable(linear.N_SYS)
+    last, step = stop, 1
+    if isinstance(values, ir.Range):
+        first, stop, step = term(values.start, before), term(values.stop, before), values.step
+        last = None
+        if first is not None and stop is not None and step == 1:
+            last = linear.variable(linear.Choice(linear.at_least(stop, first), stop, first))
+    kept = last is not None and independent(last, changed, sized)
+    stays = step > 0 and stop is not None and independent(stop, changed, sized)
+    moved = any(isinstance(n, stmt.Assign) and n.place == stmt.TempPlace(unique) for n in walk(block))
+    following = None if moved else linear.combine(linear.variable(name), linear.constant(step))
+    return (
+        lambda flow: flow.assigned(name, first),
+        lambda flow: _stated(flow, name).assigned(name, following),
+        lambda flow: flow.assigned(name, last if kept else None),
+        name,
+        stop if stays else None,
+    )
+
+
+def _stated(flow: Flow, name: str) -> Flow:
+    """Return the facts with each value that depends on a variable as a condition: a step of the variable moves it."""
+    for other, (value, about) in flow.values.items():
+        if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
+            flow = flow.knowing(linear.equal(linear.variable(other), value))
+    return flow
+
+
+def _turn(
+    written: stmt.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], Turns],
+    invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, a: Analysis,
+) -> stmt.Block:  # fmt: skip
+    """Judge the block of a loop. If an index or a divisor in it is doubtful, look for conditions that each turn keeps,
+    and judge the block again with these."""
+    if head is not None:
+        a.flow = enter(head)
+    mark = a.mark()
+    block = _body(written, a)
+    doubtful = any(found.code in _DOUBTS for found in a.found[mark.found :])
+    if head is None or not doubtful or a.loops >= MOST_LOOPS:
+        return block
+    whole = turns(block)
+    found = kept(whole, [*written_down(invariants), *counters(whole, condition)])
+    if not found.inside:
+        return block
+    a.back(mark)
+    a.flow = enter(knowing(head, found.inside))
+    return _body(written, a)
+
+
+def _behind(turns: Turns, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
+    """The point behind a loop. What its turns keep is looked for when somebody asks what is known there."""
+
+    def known() -> Flow:
+        found = kept(turns, [*written_down(invariants), *counters(turns, condition)])
+        return behind(turns, found)
+
+    return Path((), known)
+
+
+def _body(block: stmt.Block, a: Analysis) -> stmt.Block:
+    a.loops += 1
+    judged = judge_block(block, a)
+    a.loops -= 1
+    return judged
+
+
+def _breaks(block: stmt.Block) -> bool:
+    """Return whether a `break` leaves the loop of which this is the block."""
+    for statement in block:
+        match statement:
+            case stmt.Break():
+                return True
+            case stmt.If(_, then, orelse) if _breaks(then) or _breaks(orelse):
+                return True
+            case _:
+                pass
+    return False

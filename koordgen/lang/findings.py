@@ -1,0 +1,39 @@
+"""Diagnostics of one program while its checks collect them."""
+
+from __future__ import annotations
+
+from koordgen.lang.diagnostics import Diagnostic, Label, Severity
+from koordgen.lang.source import Source, Span
+
+
+class Findings:
+    """Diagnostics in the order in which they were found, and the text that they are about."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.found: list[Diagnostic] = []
+
+    def report(
+        self,
+        severity: Severity,
+        code: str,
+        message: str,
+        span: Span,
+        help: str = "",
+        labels: tuple[Label, ...] = (),
+    ) -> None:
+        """Add a diagnostic."""
+        self.found.append(Diagnostic(code, severity, message, span, labels, help))
+
+    def warn(self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = ()) -> None:
+        """Add a warning."""
+        self.report("warning", code, message, span, help, labels)
+
+    def has_errors(self, since: int = 0) -> bool:
+        """Return whether an error was found, of all but the first `since` diagnostics."""
+        return any(diagnostic.severity == "error" for diagnostic in self.found[since:])
+
+    def text(self, span: Span) -> str:
+        """Return what the user wrote at a place, as far as its first line goes."""
+        line = self.source.line(span.line)
+        return line[span.column - 1 : span.end_column - 1] if span.end_line == span.line else line[span.column - 1 :]
