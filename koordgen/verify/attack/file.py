@@ -174,7 +174,7 @@ def _no_constant(name: str) -> Any:
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a name stands twice in one object")
+        raise ValueError("a name occurs twice in one object")
     return found
 
 
@@ -195,7 +195,7 @@ class _Reader:
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
         """Return an object that has exactly these keys."""
         if not isinstance(data, dict):
-            raise BadFile(f"{what} is no object")
+            raise BadFile(f"{what} is not an object")
         wanted = set(keys)
         wrong = sorted(wanted ^ data.keys())
         if wrong:

@@ -171,7 +171,7 @@ class Judge:
         invariants, and formulas of `initially` about params, which hold for good. Raises Unusable."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
-                return f"what `initially` says of params in line {part.span.line}"
+                return f"the formula of `initially` about params in line {part.span.line}"
         return next((p.name for p in self.invariants if not self._true(p, state)), "")
 
     def _true(self, property_: decl.Property, state: State) -> bool:

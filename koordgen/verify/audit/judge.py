@@ -140,7 +140,7 @@ class Judge:
         later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)
         if came.robot < 0:
             silent = [s.silent(moment.round) for s in self._mission.stories if s.may_act(moment.round)]
-            return f"{name}: {'; '.join(silent) or 'no trace says it'}"
+            return f"{name}: {'; '.join(silent) or 'no trace contains it'}"
         story = self._mission.stories[came.robot]
         return f"{name} of {story.name}: {story.silent(moment.round + later)}"
 

@@ -145,7 +145,7 @@ class _EnvironmentFile:
         starts = self._values(self._some(given["start"], f"{name}.start"), name, type_)
         strange = [value for value in starts if value not in found.values]
         if strange and found.values:
-            self.reader.report("F005", f"{name}.start: {strange[0]} is none of its values", given["start"])
+            self.reader.report("F005", f"{name}.start: {strange[0]} is not one of its values", given["start"])
         return found._replace(starts=starts)
 
     def _grid(self, node: YamlNode, given: dict[str, YamlNode], name: str, type_: Type) -> SensorDomain:

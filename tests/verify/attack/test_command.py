@@ -170,7 +170,7 @@ def test_a_trial_that_contradicts_nothing_says_so(
 @pytest.mark.parametrize(
     ("change", "status", "said"),
     [
-        ({"state": None}, 1, "the state is no object"),
+        ({"state": None}, 1, "the state is not an object"),
         ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "shows nothing: "),
         ({"proved": ["R"]}, 1, "is none of the possible names"),
     ],

@@ -59,10 +59,10 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return _length(e, node, args[0])
         case "first" | "last":
             xs = path_of(args[0])
-            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of what has elements", line)
+            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of a nonempty collection", line)
             return _end(e, xs, name == "first")
         case "index":
-            e.context.demand(e.lists.has(path_of(args[0]), args[1]), "what is looked for is there", line)
+            e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item is in the list", line)
             return e.lists.place(path_of(args[0]), args[1])
         case "sum" if isinstance(args[0], FleetValue):
             zero = _ZERO if node.type is INT else t.real(0)
@@ -109,9 +109,9 @@ def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
                 t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line
             )
         case "popped":
-            context.demand(t.less(_ZERO, e.lists.length(xs)), "pop of what has elements", line)
+            context.demand(t.less(_ZERO, e.lists.length(xs)), "pop of a nonempty list", line)
         case "removed" | "set_without" | "map_without":
-            context.demand(e.lists.has(xs, args[1]), "what is removed is there", line)
+            context.demand(e.lists.has(xs, args[1]), "the removed item is present", line)
         case "cleared":
             return EnumeratedCollection((), node.type)
     if isinstance(xs, EnumeratedCollection) and node.name == "appended" and len(xs.items) < 8:
@@ -151,7 +151,7 @@ def _whole(name: str, x: Term) -> Term:
 
 def _root(e: ExprEncoder, x: Term, line: int) -> Term:
     zero = t.real(0)
-    e.context.demand(t.at_most(zero, x), "sqrt of what is not negative", line)
+    e.context.demand(t.at_most(zero, x), "sqrt of a number >= 0", line)
     found = t.apply(t.FunctionSymbol("sqrt@", (t.REAL,), t.REAL), x)
     square = t.and_(t.at_most(zero, found), t.equals(t.multiply(found, found), x))
     e.context.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)

@@ -173,7 +173,9 @@ class Encoder:
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
         """Encode quotient and remainder by a divisor that is no literal as functions. SOUND: the facts about them are
         exact for dividends below twice the divisor, as steps around a ring need; beyond, only the bounds are known."""
-        self.context.note("// and % by what is no literal: exact below twice the divisor; beyond that only the bounds")
+        self.context.note(
+            "// and % by a divisor that is no literal: exact below twice the divisor; beyond that only the bounds"
+        )
         quotient, rest = (t.apply(t.FunctionSymbol(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
         positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
         once = t.and_(positive, t.at_most(_ZERO, a), t.less(a, b))

@@ -291,7 +291,7 @@ class Lists:
                 return
             least = 1 if xs.update == "updated" else -_STEPS.get(xs.update, 0)
             possible = t.at_most(t.integer(least), self.length(xs.base)) if least > 0 else t.TRUE
-        with self.context.about("what a list is", 0):
+        with self.context.about("definition of a list", 0):
             self.context.fact(t.implies(possible, t.equals(self.length(named), self.length(xs))))
             for place in places:
                 there = t.and_(t.at_most(_ZERO, place), t.less(place, self.length(named)))

@@ -298,7 +298,7 @@ class SymbolicFrame:
         many = len(context.demands)
         left = leaves(first)
         exits = self.exits
-        context.fact(t.implies(found, left), "what a loop looks for", loop.span.line)
+        context.fact(t.implies(found, left), "exit of a loop", loop.span.line)
 
         def instance(index: Term) -> Term:
             kept, around = context.path, (self.exits, self.snapshot())
@@ -311,7 +311,7 @@ class SymbolicFrame:
                 self.restore(around[1])
             return t.implies(here, t.and_(found, over.not_after(first, index)))
 
-        with context.about("what a loop looks for", loop.span.line):
+        with context.about("exit of a loop", loop.span.line):
             context.element(first, over.robots, over.places and first not in context.ignored)
             context.for_all(instance, over.robots, over.places)
         if len(context.demands) > many:

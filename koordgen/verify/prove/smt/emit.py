@@ -11,12 +11,12 @@ from koordgen.verify.prove.smt.smtlib import Line, document
 # The script reads the expected answer from each file. Any other output of a solver counts as no proof.
 RUN = """\
 #!/bin/sh
-# Checks every obligation of this folder with a solver for SMT-LIB 2.6, and whether it answers what the file expects.
-# usage: sh run.sh [SOLVER [OPTION...]]      (z3 if none is named; the file's name is put behind)
-# status: 0 all as expected, 3 some are not, 5 there is no such solver
+# Checks every obligation in this folder with a solver for SMT-LIB 2.6. Each file contains the expected answer.
+# usage: sh run.sh [SOLVER [OPTION...]]      (default: z3; the name of a file is appended)
+# status: 0 all as expected, 3 some are not, 5 the solver is not installed
 cd "$(dirname "$0")" || exit 5
 [ $# -gt 0 ] || set -- z3
-command -v "$1" >/dev/null || { echo "run.sh: there is no $1 here" >&2; exit 5; }
+command -v "$1" >/dev/null || { echo "run.sh: $1 is not installed" >&2; exit 5; }
 all=0 wrong=0
 for file in *.smt2; do
   wanted=$(sed -n 's/^(set-info :status \\([a-z]*\\))$/\\1/p' "$file")
