@@ -20,12 +20,12 @@ from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.reading import found, opened
-from koordgen.verify.audit.story import Mission, mission
+from koordgen.verify.audit.story import FleetMission, mission
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
 
 
-def flown(folder: Path) -> Mission:
+def flown(folder: Path) -> FleetMission:
     """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
     Raises BadTrace."""
     return mission([opened(path) for path in found(folder / ROBOTS)])
@@ -66,7 +66,7 @@ def _fitting(source: Path, wanted: str) -> Program | None:
     return program if its == wanted else None
 
 
-def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:
+def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Fleet) -> None:
     """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
     is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
     from targets.sim.trace.collected import merge
@@ -82,12 +82,12 @@ def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) ->
     made.replace(folder / TRACE)
 
 
-def _files(whole: Mission, pid: int) -> Sequence[Path]:
+def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     """Return one robot's files of the mission that record a round, in the order of their rounds."""
     return list(dict.fromkeys(life.log.path for life in whole.stories[pid].lives if life.tells))
 
 
-def _header(whole: Mission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
+def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
     return {
         "kind": "header",
         "format": FORMAT,

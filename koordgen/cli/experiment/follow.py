@@ -16,10 +16,10 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.exact import agree, nearest
-from koordgen.verify.follow.plan import CannotFollow, ModelOnly, document, planned
-from koordgen.verify.follow.read import Counterexample, read
+from koordgen.verify.follow.plan import CannotExecute, ModelOnly, document, planned
+from koordgen.verify.follow.read import CounterexampleTrace, read
 from koordgen.verify.replay.functions import CannotCall, externs
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
 REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")
 
@@ -37,13 +37,13 @@ def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     program_hash, functions = hash_of(program, options.program, options.functions)
     try:
         return more, document(planned(program, given, externs(program, functions)), program_hash)
-    except CannotFollow as error:
+    except CannotExecute as error:
         raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
 
 
-def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[str, Value]]:
+def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, dict[str, Value]]:
     """Return the program with the params of fleet and trace, and the params that only the trace has."""
     from koordgen.fleet import manifest
 
@@ -81,7 +81,7 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
     return program, more
 
 
-def _told(program: Program, given: Counterexample) -> dict[str, Value]:
+def _told(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
     """Return the trace's params in the form of `--param`. Raises Failure."""
     types = {p.name: p.type for p in program.params}
     if set(given.params) != set(types):
@@ -90,7 +90,7 @@ def _told(program: Program, given: Counterexample) -> dict[str, Value]:
             "the program has changed: search for the counterexample again",
         )  # fmt: skip
     try:
-        values = {name: taken(value, types[name], nearest) for name, value in given.params.items()}
+        values = {name: from_trace(value, types[name], nearest) for name, value in given.params.items()}
         return {name: as_given(plain(value), types[name]) for name, value in values.items()}
     except (BadValue, ValueError, TypeError) as error:
         raise Failure(WRONG, f"{given.path}: its params do not fit this program: {error}") from None

@@ -18,14 +18,14 @@ from koordgen.cli.base import building, console
 from koordgen.cli.base.terminal import Line, coloured_verdicts
 from koordgen.cli.experiment import campaign as campaigns
 from koordgen.experiment.campaign import drive, store
-from koordgen.experiment.campaign.crew import Unreachable
-from koordgen.experiment.campaign.plan import VALIDATION, Plan, Run
+from koordgen.experiment.campaign.executor import ClusterUnreachable
+from koordgen.experiment.campaign.plan import VALIDATION, CampaignPlan, PlannedRun
 from koordgen.experiment.campaign.task import Job
 from koordgen.experiment.validate import picture, samples, table
 from koordgen.experiment.validate.probe import BadProbe
-from koordgen.experiment.validate.reach import Asked, comparisons, reachsets, written
+from koordgen.experiment.validate.reach import ReachsetRequest, comparisons, reachsets, written
 from koordgen.experiment.validate.suggest import Suggestion, suggestions
-from koordgen.experiment.validate.verdict import Bound, Case, Verdict, verdicts
+from koordgen.experiment.validate.verdict import AssumptionVerdict, Case, ProbabilityBound, verdicts
 from koordgen.fleet import manifest
 from koordgen.lang.analyze.params import Value
 from koordgen.verify.prove.report.koord_text import to_koord
@@ -42,7 +42,7 @@ def validate(options: Namespace) -> int:
     if not any(module.assumptions for module in checked.program.modules):
         way = "state assumptions under `using`, such as `assume position' in Rect(position, target)`"
         raise console.Failure(console.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
-    count = options.samples or Bound(options.epsilon, options.gamma).needed
+    count = options.samples or ProbabilityBound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
     aside = Namespace(**{**vars(options), "format": "text"})  # standard output gets one document only
@@ -55,7 +55,7 @@ def validate(options: Namespace) -> int:
         found = _found(options, checked, bundles[harness.name], kept, count, ended is None, line)
         reach = _reachsets(aside, out, line) if options.reachsets and ended is None else {}
         _tell(options, found, out, ended is None, reach)
-    except (store.Unusable, Unreachable) as error:
+    except (store.FolderUnusable, ClusterUnreachable) as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
         raise console.Failure(console.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
@@ -65,22 +65,24 @@ def validate(options: Namespace) -> int:
 
 
 def _found(
-    options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.Store, count: int, whole: bool,
-    line: Line,
-) -> table.Found:  # fmt: skip
+    options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
+    whole: bool, line: Line,
+) -> table.ValidationReport:  # fmt: skip
     """Evaluate the samples. `whole`: nothing ended the sampling early. Raises OSError."""
     numbers = [k for k in sorted(kept.results) if k < count]
     finished = [sample for k in numbers if (sample := samples.read(kept.run_folder(f"{k:04d}"), k))]
     read = {sample.run for sample in finished}
     failed = [kept.results[k].why or f"run {k:04d} left no {samples.FILE}" for k in numbers if k not in read]
-    judged = verdicts(finished, count - len(finished) if whole else len(failed), Bound(options.epsilon, options.gamma))
+    judged = verdicts(
+        finished, count - len(finished) if whole else len(failed), ProbabilityBound(options.epsilon, options.gamma)
+    )
     title = f"{Path(options.program).name} on {Path(options.fleet).name}, {len(finished)} runs"
     drawn = kept.folder / "windows.png"
     instead = _suggested(options, checked, judged, finished, line) if whole else ()
     seen = whole and picture.draw(finished, title, drawn)
-    return table.Found(
-        options.program, options.fleet, Bound(options.epsilon, options.gamma), count, len(finished), options.seed,
-        options.seconds, _start_noise(bundle), failed[0] if failed else "", _texts(checked), judged,
+    return table.ValidationReport(
+        options.program, options.fleet, ProbabilityBound(options.epsilon, options.gamma), count, len(finished),
+        options.seed, options.seconds, _start_noise(bundle), failed[0] if failed else "", _texts(checked), judged,
         finished[0].unchecked if finished else (), instead, str(drawn) if seen else "",
     )  # fmt: skip
 
@@ -93,17 +95,17 @@ def _sampled(
     count: int,
     out: Path,
     line: Line,
-) -> tuple[store.Store, BaseException | None]:
+) -> tuple[store.CampaignStore, BaseException | None]:
     """Return the runs, including those that an earlier call finished, and what ended them early. Further samples of the
     same program and fleet continue with existing ones, since a sample is identified by its seed alone."""
     fixed = [f"--duration={options.seconds:g}", *FLAGS]
     seeds = [str(options.seed + k) for k in range(count)]
-    runs = [Run(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
+    runs = [PlannedRun(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
     sums = campaigns._digest(bundle[campaigns.SUMS])
-    plan = Plan(app, sums, "", tuple(fixed), (f"seed={options.seed}:",), 0, VALIDATION)
+    plan = CampaignPlan(app, sums, "", tuple(fixed), (f"seed={options.seed}:",), 0, VALIDATION)
     show = (lambda _: None) if options.quiet else line.show
 
-    def job(run: Run) -> Job:
+    def job(run: PlannedRun) -> Job:
         shown = _command(options, int(run.flags["seed"]), out / store.RUNS / run.name)
         flags = (*fixed, f"--seed={run.flags['seed']}", "--no-report", f"--invoked-as={shown}")
         return Job(run.number, run.varied, flags, {}, "", True)
@@ -111,7 +113,7 @@ def _sampled(
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, campaigns._builder(options, harness), runs)
         again = (out / store.PLAN).exists()
-        with closing(campaigns._crew(options)) as workers, store.claimed(out, plan, again) as kept:
+        with closing(campaigns._executor(options)) as workers, store.claimed(out, plan, again) as kept:
             carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
             return kept, campaigns._ended(carry_out, kept, count, line, "the same command")
 
@@ -138,7 +140,11 @@ def _texts(checked: Checked) -> dict[int, str]:
 
 
 def _suggested(
-    options: Namespace, checked: Checked, judged: Sequence[Verdict], found: Sequence[samples.Sample], line: Line
+    options: Namespace,
+    checked: Checked,
+    judged: Sequence[AssumptionVerdict],
+    found: Sequence[samples.RunSample],
+    line: Line,
 ) -> list[Suggestion]:
     """Return suggestions for each violated assumption; none without a solver, which is reported."""
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
@@ -164,7 +170,7 @@ def _reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
     return made(options, out, line)
 
 
-def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach: Mapping[str, Any]) -> None:
+def _tell(options: Namespace, found: table.ValidationReport, out: Path, whole: bool, reach: Mapping[str, Any]) -> None:
     def commands(case: Case) -> tuple[str, str]:
         folder = out / store.RUNS / f"{case.run:04d}"
         return _command(options, case.seed, Path(f"{folder}-again")), shlex.join(["koordgen", "replay", str(folder)])
@@ -194,14 +200,14 @@ FOLDER, RUNS = "reachsets", "probes"
 
 def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
     """Return the files and the comparisons of the platforms for JSON; `text` is for people. Each call computes them
-    again. Raises OSError, Unreachable."""
+    again. Raises OSError, ClusterUnreachable."""
     folder = out / FOLDER
-    asked = Asked(options.offset, options.epsilon, options.gamma, options.seed)
+    asked = ReachsetRequest(options.offset, options.epsilon, options.gamma, options.seed)
     show: Callable[[str], None] = (lambda _: None) if options.quiet else (lambda text: line.show(f"reachsets: {text}"))
     try:
-        with closing(campaigns._crew(options)) as crew, campaigns._noticed_signals() as noticed:
+        with closing(campaigns._executor(options)) as executor, campaigns._noticed_signals() as noticed:
             runs = store.cleared(folder / RUNS)
-            found = reachsets(options.fleet, (), asked, crew, runs, show, lambda: bool(noticed))
+            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(noticed))
         files = written(found, folder)
     except BadProbe as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from koordgen.lang.ir.decl import Program
     from koordgen.lang.ir.expr import Expr
-    from koordgen.verify.attack.judge import Contradiction, Followed, Trial
+    from koordgen.verify.attack.judge import Contradiction, ReplayedTrial, Trial
     from koordgen.verify.prove.report.show import Attacks
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
@@ -118,7 +118,7 @@ def again(options: Namespace) -> int:
     from koordgen.build.pipeline import check_file
     from koordgen.lang.semantics.exact import exact
     from koordgen.verify.attack.file import MOST_BYTES, BadFile, read
-    from koordgen.verify.attack.judge import Judge, Refused, Unusable
+    from koordgen.verify.attack.judge import TrialJudge, TrialNotCovered, UnusableStep
 
     program = check_file(options.program).program
     name = options.attack_from
@@ -130,18 +130,18 @@ def again(options: Namespace) -> int:
     model = exact(program)
     try:
         given = read(data, model, program_hash(program))
-        judge = Judge(model, given.proved, lambda *_: ())
-        followed = judge.follow(given.trial)
+        judge = TrialJudge(model, given.proved, lambda *_: ())
+        replayed = judge.replay(given.trial)
     except BadFile as error:
         raise Failure(WRONG, f"{name}: {error}", error.help) from None
-    except Refused as error:
+    except TrialNotCovered as error:
         raise Failure(WRONG, f"{name} shows nothing: {error}", "no verdict covers such a state or step") from None
-    except Unusable as error:
+    except UnusableStep as error:
         raise Failure(
             INCONCLUSIVE, f"{name} cannot be run: {error}", "report the file together with its program"
         ) from None
-    print("\n".join(_shown(model, given.trial, followed)))
-    found = followed.contradiction
+    print("\n".join(_shown(model, given.trial, replayed)))
+    found = replayed.contradiction
     if found is None:
         print(f"no contradiction: after the last step {', '.join(given.proved)} hold")
         return HOLDS
@@ -149,18 +149,18 @@ def again(options: Namespace) -> int:
     return INTERNAL
 
 
-def _shown(program: Program, trial: Trial, followed: Followed) -> Iterator[str]:
+def _shown(program: Program, trial: Trial, replayed: ReplayedTrial) -> Iterator[str]:
     """Yield the state, the steps with their changes, and the conjunct of the invariant that is false."""
     from koordgen.verify.prove.report.model import failing_conjunct
     from koordgen.verify.prove.report.reach import RunState
     from koordgen.verify.prove.report.table import failed_lines, run_state_lines
 
-    first, *others = followed.states
+    first, *others = replayed.states
     run_states = [RunState(first, "", None, first.round)]
     for act, state in zip(trial.acts, others, strict=True):
         run_states.append(RunState(state, act.event, act.pid, run_states[-1].state.round))
     yield from run_state_lines(run_states)
-    contradiction = followed.contradiction
+    contradiction = replayed.contradiction
     for property_ in program.properties:
         if contradiction is not None and (property_.kind, property_.name) == (
             "invariant",

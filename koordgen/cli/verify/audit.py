@@ -16,12 +16,12 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
-from koordgen.verify.audit.finding import Finding
-from koordgen.verify.audit.judge import Judge
-from koordgen.verify.audit.meaning import Meaning
+from koordgen.verify.audit.finding import PropertyResult
+from koordgen.verify.audit.judge import PropertyJudge
+from koordgen.verify.audit.meaning import GeneratedProperties
 from koordgen.verify.audit.reading import found, opened
 from koordgen.verify.audit.show import Audit, document, report
-from koordgen.verify.audit.story import Mission, mission
+from koordgen.verify.audit.story import FleetMission, mission
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -62,11 +62,11 @@ def audit(options: Namespace) -> int:
 
 
 def _judged(
-    program: Program, functions: Path | None, whole: Mission, seconds: float | None
-) -> tuple[list[Finding], str]:
+    program: Program, functions: Path | None, whole: FleetMission, seconds: float | None
+) -> tuple[list[PropertyResult], str]:
     """Return the results, and why they do not cover the whole mission; empty if they do. Of the last round that was
     begun only a violation is counted."""
-    line, judge, reached, ended = Line(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
+    line, judge, reached, ended = Line(sys.stderr), PropertyJudge(GeneratedProperties(program, functions), whole), 0, ""
 
     def progress(round_: int, last: int) -> None:
         nonlocal reached
@@ -87,13 +87,13 @@ def _judged(
     return [*judge.findings, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
 
 
-def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:
+def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
     late = faults.late(whole)
     overran = [f"{late} event{'s' * (late != 1)} were discarded because they took too long"] if late else []
     return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compared(judged, whole)]
 
 
-def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
+def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:
     """Return the prover's verdicts on the program with the params of the flight, for any number of robots."""
     from koordgen.verify.prove.report.verdict import Question, prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of

@@ -173,7 +173,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
     from koordgen.verify.prove.report.trace import About, trace
-    from koordgen.verify.replay.values import BadValue, plain, taken
+    from koordgen.verify.replay.values import BadValue, from_trace, plain
 
     told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
     if not told:
@@ -184,7 +184,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     values = {}
     try:
         for p in program.params:
-            near = taken(plain_value(state.params[p.name]), p.type, nearest)  # rounded to robots' floats
+            near = from_trace(plain_value(state.params[p.name]), p.type, nearest)  # rounded to robots' floats
             values[p.name] = as_given(plain(near), p.type)
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
     except (BadParam, BadValue):  # numbers that no robot can represent

@@ -15,7 +15,7 @@ from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.replay.fleet import replayed
 from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
-from koordgen.verify.replay.trace import Trace, opened
+from koordgen.verify.replay.trace import TraceParts, opened
 
 MOST_TOLD = 20  # most differences that are printed
 LONGEST = 200  # longest value in characters
@@ -75,7 +75,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
 
 
-def _told(found: Difference, trace: Trace) -> str:
+def _told(found: Difference, trace: TraceParts) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
     return (

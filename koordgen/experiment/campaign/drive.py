@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from koordgen.experiment.campaign import plots, store, table
-from koordgen.experiment.campaign.crew import Crew, Unreachable
-from koordgen.experiment.campaign.plan import Run
-from koordgen.experiment.campaign.store import FULL, Result, Store
-from koordgen.experiment.campaign.task import Job, Stopped
+from koordgen.experiment.campaign.executor import ClusterUnreachable, Executor
+from koordgen.experiment.campaign.plan import PlannedRun
+from koordgen.experiment.campaign.store import FULL, CampaignStore, RunResult
+from koordgen.experiment.campaign.task import CampaignStopped, Job
 
 LOOK = 0.5  # seconds between two checks for finished runs
 Build = Callable[[Mapping[str, str], Path], None]
@@ -30,12 +30,12 @@ class Bundles:
     and removed after its last. `build` writes a bundle with these params into a folder; `name` is the bundle's own
     folder in it."""
 
-    def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[Run]) -> None:
+    def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[PlannedRun]) -> None:
         self._folder, self._name, self._build = folder, name, build
         self._left = Counter(_key(run.params) for run in runs)
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
-    def of(self, run: Run) -> Path:
+    def of(self, run: PlannedRun) -> Path:
         """Return the bundle of a run. Raises what `build` raises."""
         key = _key(run.params)
         if key not in self._made:
@@ -44,7 +44,7 @@ class Bundles:
             self._made[key] = own
         return self._made[key] / self._name
 
-    def done(self, run: Run) -> None:
+    def done(self, run: PlannedRun) -> None:
         """Release the bundle of a finished run."""
         key = _key(run.params)
         self._left[key] -= 1
@@ -57,24 +57,24 @@ def _key(params: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
 
 
 def carry_out(
-    runs: Sequence[Run],
-    kept: Store,
-    crew: Crew,
+    runs: Sequence[PlannedRun],
+    kept: CampaignStore,
+    executor: Executor,
     bundles: Bundles,
-    job: Callable[[Run], Job],
+    job: Callable[[PlannedRun], Job],
     tell: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute the runs that are not finished. Raises DiskFull and Unreachable, and KeyboardInterrupt if `interrupted`
-    says so. Whatever it raises, the executor is stopped and finished runs are stored."""
+    """Execute the runs that are not finished. Raises DiskFull and ClusterUnreachable, and KeyboardInterrupt if
+    `interrupted` says so. Whatever it raises, the executor is stopped and finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
-    progress = Progress(len(runs), kept)
-    under_way: dict[Future[Result], Run] = {}
+    progress = CampaignProgress(len(runs), kept)
+    under_way: dict[Future[RunResult], PlannedRun] = {}
     try:
         while waiting or under_way:
-            while waiting and len(under_way) < crew.width:
+            while waiting and len(under_way) < executor.width:
                 run = waiting.popleft()
-                future = crew.submit(job(run), bundles.of(run), kept.run_folder(run.name))
+                future = executor.submit(job(run), bundles.of(run), kept.run_folder(run.name))
                 under_way[future] = run
             finished, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in finished:
@@ -89,29 +89,29 @@ def carry_out(
             raise DiskFull from None
         raise
     finally:
-        crew.stop()
+        executor.stop()
 
 
-def _take(kept: Store, run: Run, future: Future[Result]) -> None:
+def _take(kept: CampaignStore, run: PlannedRun, future: Future[RunResult]) -> None:
     try:
         result = future.result()
-    except (Stopped, CancelledError, Unreachable):
+    except (CampaignStopped, CancelledError, ClusterUnreachable):
         raise
     except OSError as error:
         if error.errno in FULL:
             raise
-        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+        result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     except Exception as error:  # a worker died, or a result could not be sent
-        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+        result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     if result.outcome == "failed" and kept.full():
         raise DiskFull
     kept.add(replace(result, varied=dict(run.varied)))
 
 
-class Progress:
+class CampaignProgress:
     """Progress text: finished runs, and the remaining time, estimated from the runs of this session."""
 
-    def __init__(self, total: int, kept: Store) -> None:
+    def __init__(self, total: int, kept: CampaignStore) -> None:
         self._total, self._kept = total, kept
         self._before = len(kept.results)
         self._began = time.monotonic()
@@ -135,7 +135,7 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def write_table(kept: Store, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
+def write_table(kept: CampaignStore, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
     """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs. Return the text.
     Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]

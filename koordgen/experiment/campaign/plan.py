@@ -13,7 +13,7 @@ CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One run. `varied`: the varied values, by name. Of these, `params` of the program go into its bundle, `settings`
     of the harness into a file, and `flags` on its command line."""
 
@@ -30,7 +30,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """Identity of a campaign. `bundle`: digest of the bundle built without varied params; `verdict`: digest of the
     script that judges runs, "" without one; `fixed`: flags of every run; `what`: the purpose of the runs."""
 
@@ -47,14 +47,14 @@ class Plan:
         return {"format": FORMAT, **asdict(self), "fixed": list(self.fixed), "vary": list(self.vary)}
 
 
-def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[Run]:
+def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[PlannedRun]:
     """Return the runs of a plan. `settings` are the names of the harness' settings. Raises BadVary."""
     found = []
     for number, own in enumerate(vary.values(varied, count)):
         params = {n.removeprefix(vary.PARAM): v for n, v in own.items() if n.startswith(vary.PARAM)}
         of_harness = {n: v for n, v in own.items() if n in settings}
         flags = {n: v for n, v in own.items() if not n.startswith(vary.PARAM) and n not in of_harness}
-        found.append(Run(number, own, params, of_harness, flags))
+        found.append(PlannedRun(number, own, params, of_harness, flags))
     return found
 
 
@@ -75,7 +75,7 @@ def made_for(stored: Mapping[str, Any]) -> str:
     return what if what in (VALIDATION, PROBES) else CAMPAIGN
 
 
-def difference(stored: Mapping[str, Any], wanted: Plan) -> str:
+def difference(stored: Mapping[str, Any], wanted: CampaignPlan) -> str:
     """Return why a stored plan differs from the wanted one; "" if it does not."""
     if stored.get("format") != FORMAT:
         return f"its plan has not the format {FORMAT}"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ COLOURS = {"held": "#2a7f3f", "violated": "#c0392b"}
 MARKS = {"held": "o", "violated": "X"}
 
 
-def draw(results: Sequence[Result], folder: Path) -> list[Path]:
+def draw(results: Sequence[RunResult], folder: Path) -> list[Path]:
     """Draw a picture for each varied name and one of mission times; none if no run was executed. Raises OSError."""
     ran = [r for r in results if r.outcome in COLOURS]
     if not ran:
@@ -28,7 +28,7 @@ def draw(results: Sequence[Result], folder: Path) -> list[Path]:
     return [*pictures, _histogram(ran, folder / "mission.png")]
 
 
-def _against(name: str, ran: Sequence[Result], path: Path) -> Path:
+def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 6), layout="constrained")
@@ -75,7 +75,7 @@ def _numeric(word: str) -> bool:
         return False
 
 
-def _histogram(ran: Sequence[Result], path: Path) -> Path:
+def _histogram(ran: Sequence[RunResult], path: Path) -> Path:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 

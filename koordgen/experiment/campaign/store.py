@@ -17,13 +17,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from koordgen.experiment.campaign.plan import Plan, difference, made_for
+from koordgen.experiment.campaign.plan import CampaignPlan, difference, made_for
 
 PLAN, RESULTS, RUNS, LOCK = "plan.json", "results.jsonl", "runs", ".koord-campaign"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-class Unusable(Exception):
+class FolderUnusable(Exception):
     """The folder cannot be used for this campaign; `help` names a remedy."""
 
     def __init__(self, message: str, help: str) -> None:
@@ -32,7 +32,7 @@ class Unusable(Exception):
 
 
 @dataclass(frozen=True)
-class Result:
+class RunResult:
     """Result of one run. `outcome`: held, violated or failed (it could not be executed); `why`: the first reason. Times
     in seconds, distances in metres; None if the run did not report the value. `figures`: numbers from the verdict
     script; `wall`: time on the host."""
@@ -49,18 +49,18 @@ class Result:
     figures: dict[str, float] = field(default_factory=dict)
 
 
-class Store:
+class CampaignStore:
     """Folder of a campaign, claimed for one process. `claimed` opens it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.results: dict[int, Result] = {}
+        self.results: dict[int, RunResult] = {}
 
     def run_folder(self, name: str) -> Path:
         """Return the folder of a run."""
         return self.folder / RUNS / name
 
-    def add(self, result: Result) -> None:
+    def add(self, result: RunResult) -> None:
         """Store the result of a finished run. Raises OSError."""
         line = json.dumps(asdict(result)) + "\n"
         with (self.folder / RESULTS).open("ab") as file:
@@ -89,34 +89,35 @@ class Store:
 
 
 @contextmanager
-def claimed(folder: Path, plan: Plan, resume: bool) -> Iterator[Store]:
-    """Claim the campaign's folder, a new one or one with finished runs of the same plan. Raises Unusable, OSError."""
+def claimed(folder: Path, plan: CampaignPlan, resume: bool) -> Iterator[CampaignStore]:
+    """Claim the campaign's folder, a new one or one with finished runs of the same plan. Raises FolderUnusable,
+    OSError."""
     if not folder.exists() and resume:
-        raise Unusable(f"{folder}: there is no {plan.what} to go on with", "leave out --resume")
+        raise FolderUnusable(f"{folder}: there is no {plan.what} to go on with", "leave out --resume")
     if folder.exists() and not folder.is_dir():
-        raise Unusable(f"{folder}: exists and is no folder", "choose another with --out")
+        raise FolderUnusable(f"{folder}: exists and is no folder", "choose another with --out")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / LOCK).exists():
-        raise Unusable(f"{folder}: holds files that are not of a {plan.what}", "choose another with --out")
+        raise FolderUnusable(f"{folder}: holds files that are not of a {plan.what}", "choose another with --out")
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("ab") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise Unusable(f"{folder}: another call is writing there", "wait, or choose another --out") from None
+            raise FolderUnusable(f"{folder}: another call is writing there", "wait, or choose another --out") from None
         yield _opened(folder, plan, resume)
 
 
-def _opened(folder: Path, plan: Plan, resume: bool) -> Store:
-    store = Store(folder)
+def _opened(folder: Path, plan: CampaignPlan, resume: bool) -> CampaignStore:
+    store = CampaignStore(folder)
     if (folder / PLAN).exists():
         stored = _object(folder / PLAN)
         if (what := made_for(stored)) != plan.what:
-            raise Unusable(f"{folder}: holds a {what}, not a {plan.what}", "choose another with --out")
+            raise FolderUnusable(f"{folder}: holds a {what}, not a {plan.what}", "choose another with --out")
         if not resume:
             way = "--resume goes on with it; or choose another with --out"
-            raise Unusable(f"{folder}: holds a {what} already", way)
+            raise FolderUnusable(f"{folder}: holds a {what} already", way)
         if why := difference(stored, plan):
-            raise Unusable(f"{folder}: holds another {what}: {why}", "choose another with --out")
+            raise FolderUnusable(f"{folder}: holds another {what}: {why}", "choose another with --out")
         store.results = _finished(folder / RESULTS)
     else:
         replace(folder / PLAN, json.dumps(plan.json(), indent=2) + "\n")
@@ -128,11 +129,11 @@ def _object(path: Path) -> dict[str, Any]:
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise Unusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
+        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
     return value if isinstance(value, dict) else {}
 
 
-def _finished(path: Path) -> dict[int, Result]:
+def _finished(path: Path) -> dict[int, RunResult]:
     """Return the results of finished runs. A line that a killed campaign left incomplete is cut off."""
     if not path.exists():
         return {}
@@ -141,9 +142,9 @@ def _finished(path: Path) -> dict[int, Result]:
     if len(whole) < len(text):
         os.truncate(path, len(whole))
     try:
-        found = [Result(**json.loads(line)) for line in whole.splitlines()]
+        found = [RunResult(**json.loads(line)) for line in whole.splitlines()]
     except (ValueError, TypeError) as error:
-        raise Unusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
+        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
     return {result.run: result for result in found if result.outcome != "failed"}
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 Z = 1.959964  # half width of the interval that holds 95 % of the standard normal distribution
 MOST_REASONS = 5
@@ -39,7 +39,7 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
     return {name: round(value, 4) for name, value in named.items()}
 
 
-def counted(results: Sequence[Result]) -> dict[str, Any]:
+def counted(results: Sequence[RunResult]) -> dict[str, Any]:
     """Return the numbers of runs by outcome, and statistics of executed runs. Mission time is that of runs that held:
     a run that a violation ended has no meaningful mission time."""
     held = [r for r in results if r.outcome == "held"]
@@ -60,9 +60,9 @@ def counted(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def reasons(results: Sequence[Result]) -> list[dict[str, Any]]:
+def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
     """Return the kinds of violations and failures, the most frequent first, each with its first run."""
-    found: dict[str, list[Result]] = {}
+    found: dict[str, list[RunResult]] = {}
     for r in results:
         if r.outcome != "held":
             found.setdefault(r.what or ("did not run" if r.outcome == "failed" else "violated"), []).append(r)
@@ -72,7 +72,9 @@ def reasons(results: Sequence[Result]) -> list[dict[str, Any]]:
     ]
 
 
-def document(app: str, planned: int, results: Sequence[Result], cells: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+def document(
+    app: str, planned: int, results: Sequence[RunResult], cells: Sequence[Mapping[str, str]]
+) -> dict[str, Any]:
     """Return `campaign.json`. `cells` are the combinations of the varied lists."""
     parted = [
         {"varied": dict(cell), **counted([r for r in results if all(r.varied.get(k) == v for k, v in cell.items())])}
@@ -88,7 +90,7 @@ def document(app: str, planned: int, results: Sequence[Result], cells: Sequence[
     }
 
 
-def as_csv(results: Sequence[Result]) -> str:
+def as_csv(results: Sequence[RunResult]) -> str:
     """Return `campaign.csv`, with a row for each run."""
     varied = dict.fromkeys(name for r in results for name in r.varied)
     figures = dict.fromkeys(name for r in results for name in r.figures)

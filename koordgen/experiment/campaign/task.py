@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 HELD, VIOLATED = 0, 3  # exit statuses of a bundle
 POLL = 0.05  # seconds between two checks for a stop
@@ -24,7 +24,7 @@ PATIENCE = 10.0  # seconds from the request to end until a run is killed
 MOST_SHOWN = 300  # longest reason in characters
 
 
-class Stopped(Exception):
+class CampaignStopped(Exception):
     """The campaign was stopped; its running run was ended and does not count."""
 
 
@@ -42,9 +42,9 @@ class Job:
     scenario: str = ""  # scenario with faults, as JSON; "" without one
 
 
-def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> Result:
+def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> RunResult:
     """Execute and judge a run. The run writes into `folder`; its settings and its scenario are stored beside it. Raises
-    Stopped, OSError."""
+    CampaignStopped, OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
     if job.settings:
@@ -58,14 +58,14 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
     status, told = watched(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
     if status not in (HELD, VIOLATED):
-        return Result(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
+        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
     result = _summarised(job, status, _summary(folder / "summary.json"), wall)
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
 
 
 def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
     """Run a command to its end. Return its status and its output. It is ended if the campaign is stopped. Raises
-    Stopped."""
+    CampaignStopped."""
     # The child has its own process group, so that this process decides whether it gets a terminal's Ctrl-C.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
@@ -77,7 +77,7 @@ def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
                 if not stopped():
                     continue
                 _end(child)
-                raise Stopped from None
+                raise CampaignStopped from None
             return child.returncode, told.decode("utf-8", "replace")
 
 
@@ -117,11 +117,11 @@ def _summary(path: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> Result:
+def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> RunResult:
     violations = summary.get("violations") or [{}]
     separation = (summary.get("min_separation") or {}).get("distance")
     late = [robot.get("late_rounds", 0) for robot in summary.get("robots", [])]
-    return Result(
+    return RunResult(
         job.number,
         dict(job.varied),
         "held" if status == HELD else "violated",
@@ -134,7 +134,7 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
     )
 
 
-def _judged(result: Result, script: str, folder: Path, stopped: Callable[[], bool]) -> Result:
+def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], bool]) -> RunResult:
     """Judge a run by the user's script. If its status is not 0, the run is violated and the last line of its output is
     the reason. If the last line is a JSON object, its numbers are figures of the run."""
     status, told = watched([sys.executable, script, str(folder)], stopped)

@@ -26,7 +26,7 @@ class BadVary(Exception):
 
 
 @dataclass(frozen=True)
-class Grid:
+class ValueList:
     """A list of values, as they were written."""
 
     name: str
@@ -34,7 +34,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Range:
+class NumberRange:
     """Any number from `lo` to `hi`."""
 
     name: str
@@ -51,7 +51,7 @@ class Seeds:
     name: str = SEED
 
 
-Varied = Grid | Range | Seeds
+Varied = ValueList | NumberRange | Seeds
 
 
 def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
@@ -63,9 +63,9 @@ def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
     for name in names:
         if names.count(name) > 1:
             raise BadVary(f"{name} is varied twice")
-    if math.prod(len(v.values) for v in found if isinstance(v, Grid)) > MOST_CELLS:
+    if math.prod(len(v.values) for v in found if isinstance(v, ValueList)) > MOST_CELLS:
         raise BadVary(f"the lists have more than {MOST_CELLS} combinations")
-    if sum(isinstance(v, Range) for v in found) > len(PRIMES):
+    if sum(isinstance(v, NumberRange) for v in found) > len(PRIMES):
         raise BadVary(f"more than {len(PRIMES)} ranges")
     return tuple(found)
 
@@ -94,7 +94,7 @@ def _one(name: str, values: list[str]) -> Varied:
         if name == SEED:
             for value in values:
                 _whole(name, value)
-        return Grid(name, tuple(values))
+        return ValueList(name, tuple(values))
     low, _, high = values[0].partition(":")
     if name == SEED:
         first, last = _whole(name, low), _whole(name, high)
@@ -104,7 +104,7 @@ def _one(name: str, values: list[str]) -> Varied:
     lo, hi = _number(name, low), _number(name, high)
     if not lo < hi:
         raise BadVary(f"{name}={values[0]}: a range goes from a smaller to a greater number")
-    return Range(name, lo, hi)
+    return NumberRange(name, lo, hi)
 
 
 def _number(name: str, text: str) -> float:
@@ -128,7 +128,7 @@ def natural(varied: Sequence[Varied]) -> int | None:
     """Return the default number of runs: every combination once, with every seed. None if there is no natural
     number."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
-    if any(isinstance(v, Range) for v in varied) or (seeds and seeds.last is None):
+    if any(isinstance(v, NumberRange) for v in varied) or (seeds and seeds.last is None):
         return None
     turns = seeds.last - seeds.first + 1 if seeds and seeds.last is not None else 1
     return turns * len(cells(varied))
@@ -136,7 +136,7 @@ def natural(varied: Sequence[Varied]) -> int | None:
 
 def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
     """Return the combinations of the lists' values; a single empty one if there is no list."""
-    grids = [v for v in varied if isinstance(v, Grid)]
+    grids = [v for v in varied if isinstance(v, ValueList)]
     return [
         dict(zip([g.name for g in grids], values, strict=True)) for values in product(*[grid.values for grid in grids])
     ]
@@ -146,7 +146,7 @@ def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
     """Return for each run its varied values by name, as on a command line, in the order of `varied`. Raises BadVary if
     there are too few seeds."""
     combinations = cells(varied)
-    ranges = [v for v in varied if isinstance(v, Range)]
+    ranges = [v for v in varied if isinstance(v, NumberRange)]
     steps = [math.sqrt(prime) for prime in PRIMES]
     starts = [Random(f"campaign/{v.name}").random() for v in ranges]
     result = []

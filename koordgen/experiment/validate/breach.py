@@ -10,7 +10,7 @@ Kind = Literal["overshoot", "across", "away", "drift"]
 Vector = tuple[float, float, float]
 
 SLOW = 0.05  # m/s; a slower body counts as standing
-TOLD: dict[Kind, str] = {
+EXPLANATIONS: dict[Kind, str] = {
     "overshoot": "along its motion, past its target or not yet braked: inertia",
     "across": "across the line to its target: a curve, around an obstacle or of a body that cannot turn on the spot",
     "away": "away from its target under power: it turns round",
@@ -19,7 +19,7 @@ TOLD: dict[Kind, str] = {
 
 
 @dataclass(frozen=True)
-class Breach:
+class BoxBreach:
     """The farthest position outside of the box within one window. `out`: vector from the box (m, local ENU). `at`:
     begin of the window in seconds since round 1. Each window's box begins at the body's position at that time. For
     windows one after the other, `together` is the length of the sum of their vectors (m), and `main` the kind of the
@@ -38,7 +38,7 @@ class Breach:
         return math.hypot(*self.out)
 
 
-class Row:
+class ConsecutiveBreaches:
     """Consecutive windows of one robot in which it was outside of the box."""
 
     def __init__(self) -> None:
@@ -46,12 +46,12 @@ class Row:
         self._farthest = 0.0
         self._main: Kind = "drift"
 
-    def add(self, pid: int, at: float, out: Vector, kind: Kind) -> Breach:
+    def add(self, pid: int, at: float, out: Vector, kind: Kind) -> BoxBreach:
         """Add the next window, and return its breach."""
         self._sum = self._sum[0] + out[0], self._sum[1] + out[1], self._sum[2] + out[2]
         if (distance := math.hypot(*out)) > self._farthest:
             self._farthest, self._main = distance, kind
-        return Breach(pid, at, out, kind, math.hypot(*self._sum), self._main)
+        return BoxBreach(pid, at, out, kind, math.hypot(*self._sum), self._main)
 
 
 def kind(start: Vector, target: Vector, before: Vector, out: Vector, then: Vector) -> Kind:

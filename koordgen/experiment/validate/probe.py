@@ -24,8 +24,8 @@ from koordgen.build.bundle.drivers import find
 from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import plan_file, read_fleet
 from koordgen.experiment.campaign import drive, store
-from koordgen.experiment.campaign.crew import Crew
-from koordgen.experiment.campaign.plan import PROBES, Plan, Run
+from koordgen.experiment.campaign.executor import Executor
+from koordgen.experiment.campaign.plan import PROBES, CampaignPlan, PlannedRun
 from koordgen.experiment.campaign.task import Job
 from koordgen.fleet import manifest
 from koordgen.fleet.file import own_classes
@@ -92,7 +92,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Platform:
+class ProbedPlatform:
     """Robots of one kind in a fleet file: same target, settings and simulation. `robot`: its entry in the file;
     `common`: entries for all robots; `beside`: the user's own classes by their path in bundles."""
 
@@ -111,7 +111,7 @@ class Probe:
     """Request for samples: `count` robots, `robots` of them in each run, are observed for `seconds` on their path to a
     target at `offset` (m, ENU)."""
 
-    platform: Platform
+    platform: ProbedPlatform
     offset: Vector
     count: int
     seconds: float
@@ -147,7 +147,7 @@ def _harness() -> Target:
     return next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
 
 
-def platforms(fleet_file: str) -> dict[str, Platform]:
+def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
     """Return the platforms of a fleet file by name: target and fidelity; if several differ in settings alone, the first
     robot of each. Raises Rejected, ManifestError."""
     targets = {name: manifest.load(name) for name in manifest.available()}
@@ -159,7 +159,7 @@ def platforms(fleet_file: str) -> dict[str, Platform]:
     common[harness.name] = dict(raw.get(harness.name) or {})
     beside = {path: find(path, [Path(fleet_file).parent]) for path in own_classes(fleet, targets)}
     heights = fleet.geofence["lo"][2], fleet.geofence["hi"][2]
-    kinds: dict[str, list[Platform]] = {}
+    kinds: dict[str, list[ProbedPlatform]] = {}
     seen: list[tuple[str, Any, Any]] = []
     for robot, entry in zip(fleet.robots, raw["robots"], strict=True):
         if (robot.target, robot.settings, robot.harness) in seen:
@@ -168,7 +168,7 @@ def platforms(fleet_file: str) -> dict[str, Platform]:
         own = {key: entry[key] for key in ("target", "settings", harness.name) if entry.get(key)}
         own["start"] = {"position": list(robot.start["position"])}
         fidelity = robot.harness.get(harness.name, {}).get("fidelity") or fleet.harness[harness.name]["fidelity"]
-        found = Platform(robot.name, robot.target, fidelity, fleet.delta, own, common, beside, heights)
+        found = ProbedPlatform(robot.name, robot.target, fidelity, fleet.delta, own, common, beside, heights)
         kinds.setdefault(f"{robot.target} {fidelity}", []).append(found)
     several = {f"{name} ({one.name})": one for name, kind in kinds.items() if len(kind) > 1 for one in kind}
     named = {name: kind[0] for name, kind in kinds.items() if len(kind) == 1} | several
@@ -245,7 +245,7 @@ def built(probe: Probe, part: int, folder: Path) -> None:
 
 def sampled(
     probes: Sequence[Probe],
-    crew: Crew,
+    executor: Executor,
     folder: Path,
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
@@ -254,26 +254,26 @@ def sampled(
     samples are taken. Raises BadProbe if a probe is impossible or did not run, and what `drive.carry_out` raises."""
     for probe in probes:
         check(probe)
-    runs: list[Run] = []
+    runs: list[PlannedRun] = []
     owner: dict[int, tuple[Probe, int]] = {}
     for index, probe in enumerate(probes):
         for part in range(probe.parts):
             told = {"platform": probe.platform.name, "offset": _told(probe.offset), "seed": str(probe.seed + part)}
             owner[len(runs)] = probe, part
-            runs.append(Run(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
+            runs.append(PlannedRun(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
 
     def build(params: Mapping[str, str], own: Path) -> None:
         index, _, part = params["probe"].partition("/")
         built(probes[int(index)], int(part), own)
 
-    def job(run: Run) -> Job:
+    def job(run: PlannedRun) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
 
     varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
-    plan = Plan("probe", "", "", (), varied, len(runs), PROBES)
+    plan = CampaignPlan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
-        drive.carry_out(runs, kept, crew, bundles, job, tell, interrupted)
+        drive.carry_out(runs, kept, executor, bundles, job, tell, interrupted)
         for result in kept.results.values():
             if result.outcome == "failed":
                 raise BadProbe(f"run {runs[result.run].name} of a probe did not run: {result.why}")
@@ -284,7 +284,7 @@ def _told(offset: Vector) -> str:
     return f"({', '.join(f'{v:g}' for v in offset)})"
 
 
-def _gathered(probe: Probe, runs: Sequence[Run], kept: store.Store) -> Samples:
+def _gathered(probe: Probe, runs: Sequence[PlannedRun], kept: store.CampaignStore) -> Samples:
     times = np.arange(round(probe.seconds * RATE) + 1) / RATE
     found: list[tuple[Array, Array]] = []
     for run in runs:

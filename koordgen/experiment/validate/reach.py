@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 
-from koordgen.experiment.campaign.crew import Crew
+from koordgen.experiment.campaign.executor import Executor
 from koordgen.experiment.campaign.store import replace
 from koordgen.experiment.validate.draw import drawn
 from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, sampled
@@ -22,7 +22,7 @@ PARTS = 3  # parts of the samples: for learning, for calibration, for the check
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReachsetRequest:
     """Request for reachsets: a target at `offset` (m, ENU), and the claim about paths to it. `seconds`: observation of
     each path; None: enough for a slow robot at half a metre a second, and 4 s to stop."""
 
@@ -40,7 +40,7 @@ class Asked:
         return round(4 + 2 * math.hypot(*self.offset), 1) if self.seconds is None else self.seconds
 
 
-def probes(fleet_file: str, names: Sequence[str], asked: Asked) -> list[Probe]:
+def probes(fleet_file: str, names: Sequence[str], asked: ReachsetRequest) -> list[Probe]:
     """Return a probe for each named platform of the fleet file, or for all if none is named. Raises BadProbe, Rejected,
     ManifestError."""
     known = platforms(fleet_file)
@@ -54,8 +54,8 @@ def probes(fleet_file: str, names: Sequence[str], asked: Asked) -> list[Probe]:
 def reachsets(
     fleet_file: str,
     names: Sequence[str],
-    asked: Asked,
-    crew: Crew,
+    asked: ReachsetRequest,
+    executor: Executor,
     folder: Path,
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
@@ -63,7 +63,7 @@ def reachsets(
     """Return one reachset per platform, in the order of `names`. Their runs are executed together, in a new folder,
     with the same starts for all. Raises BadProbe, Rejected, ManifestError, and what `campaign.drive.carry_out`
     raises."""
-    found = sampled(probes(fleet_file, names, asked), crew, folder, tell, interrupted)
+    found = sampled(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
     return [reached(samples, asked.epsilon, asked.gamma) for samples in found]
 
 

@@ -17,7 +17,7 @@ def needed(epsilon: float, gamma: float) -> int:
     return math.ceil(math.log(1.0 / gamma) / epsilon)
 
 
-def shown(runs: int, gamma: float) -> float:
+def shown_epsilon(runs: int, gamma: float) -> float:
     """Return the epsilon that `runs` runs without a violation show at confidence 1 - gamma: (1 - epsilon)^runs =
     gamma."""
     return 1.0 if runs < 1 else -math.expm1(math.log(gamma) / runs)

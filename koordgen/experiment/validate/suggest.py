@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import shorten
 
-from koordgen.experiment.validate.samples import Sample, margin
+from koordgen.experiment.validate.samples import RunSample, margin
 from koordgen.lang.analyze.params import Value, with_params
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl
@@ -70,7 +70,7 @@ def suggestions(
     program: decl.Program,
     line: int,
     params: Mapping[str, Value],
-    samples: Sequence[Sample],
+    samples: Sequence[RunSample],
     solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
     """Return replacements of the assumption at that line: its box or a ball about the target, and the ball alone. Empty

@@ -6,23 +6,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from koordgen.experiment.validate.breach import TOLD
+from koordgen.experiment.validate.breach import EXPLANATIONS
 from koordgen.experiment.validate.suggest import Suggestion
-from koordgen.experiment.validate.verdict import Bound, Case, Verdict
+from koordgen.experiment.validate.verdict import AssumptionVerdict, Case, ProbabilityBound
 
 FORMAT = "koord-validation/1"
 WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 
 @dataclass(frozen=True)
-class Found:
+class ValidationReport:
     """One validation: program and fleet, its runs, and its results. `texts`: the assumptions as the program has them,
     by line; `unchecked`: lines that cannot be evaluated, with the reason; `failed`: the first reason why runs did not
     end regularly; `start_noise` in metres and radians."""
 
     program: str
     fleet: str
-    bound: Bound
+    bound: ProbabilityBound
     samples: int
     finished: int
     seed: int
@@ -30,7 +30,7 @@ class Found:
     start_noise: float
     failed: str
     texts: Mapping[int, str]
-    verdicts: Sequence[Verdict]
+    verdicts: Sequence[AssumptionVerdict]
     unchecked: Sequence[tuple[int, str]]
     suggestions: Sequence[Suggestion]
     picture: str = ""
@@ -45,7 +45,7 @@ class Found:
 Commands = Callable[[Case], tuple[str, str]]
 
 
-def as_text(found: Found, commands: Commands) -> str:
+def as_text(found: ValidationReport, commands: Commands) -> str:
     """Return the text. `commands` returns the commands that run and replay a case."""
     lines = [*_head(found), ""]
     for line in dict.fromkeys(v.assumption.line for v in found.verdicts):
@@ -60,7 +60,7 @@ def as_text(found: Found, commands: Commands) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def _head(found: Found) -> Iterator[str]:
+def _head(found: ValidationReport) -> Iterator[str]:
     last = found.seed + found.samples - 1
     yield (
         f"{found.program} on {found.fleet}: {found.finished} of {found.samples} runs of {found.seconds:g} s, "
@@ -74,7 +74,7 @@ def _head(found: Found) -> Iterator[str]:
     )
 
 
-def _claim(found: Found) -> str:
+def _claim(found: ValidationReport) -> str:
     bound = found.bound
     says = f"a run from these starts violates with a probability below {bound.epsilon:g}"
     if found.verdict == "VALIDATED":
@@ -86,7 +86,7 @@ def _claim(found: Found) -> str:
     return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 
 
-def _assumption(found: Found, verdicts: Sequence[Verdict], commands: Commands) -> Iterator[str]:
+def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:
     about = verdicts[0].assumption
     yield f"{about.module} ({found.program}:{about.line}): {found.texts.get(about.line, '')}"
     confidence = f"{100 * (1 - found.bound.gamma):g} %"
@@ -113,7 +113,7 @@ def _assumption(found: Found, verdicts: Sequence[Verdict], commands: Commands) -
     yield "  Windows of a run are not independent of one another; the interval is over runs (Clopper-Pearson)."
 
 
-def _cells(verdict: Verdict) -> tuple[str, ...]:
+def _cells(verdict: AssumptionVerdict) -> tuple[str, ...]:
     low, high = verdict.interval
     outside = [f"{max(m.values()):.3f} m" if m else "-" for m in (verdict.farthest, verdict.together)]
     return (
@@ -129,15 +129,15 @@ def _columns(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield f"  {'  '.join(words)}"
 
 
-def _breaches(verdict: Verdict) -> Iterator[str]:
+def _breaches(verdict: AssumptionVerdict) -> Iterator[str]:
     for kind, count in sorted(verdict.breaches.items(), key=lambda item: -verdict.farthest[item[0]]):
         row = f", {verdict.together[kind]:.3f} m in a row" if kind in verdict.together else ""
         most = f"{verdict.farthest[kind]:.3f} m outside the box in one{row}"
         yield f"  {verdict.platform}: {kind}, {count} windows, at most {most}"
-        yield f"    {TOLD[kind]}"  # type: ignore[index]
+        yield f"    {EXPLANATIONS[kind]}"  # type: ignore[index]
 
 
-def _case(verdict: Verdict, case: Case, commands: Commands) -> Iterator[str]:
+def _case(verdict: AssumptionVerdict, case: Case, commands: Commands) -> Iterator[str]:
     how = ""
     if case.breach is not None:
         x, y, z = case.breach.out
@@ -153,7 +153,7 @@ def _case(verdict: Verdict, case: Case, commands: Commands) -> Iterator[str]:
     yield f"    {replay}"
 
 
-def _suggestions(found: Found) -> Iterator[str]:
+def _suggestions(found: ValidationReport) -> Iterator[str]:
     seen = max((v.runs for v in found.verdicts), default=0)
     epsilon = max((v.epsilon for v in found.verdicts), default=1.0)
     kept = f"all of these {seen} runs" if seen > 1 else "this one run"
@@ -189,7 +189,7 @@ def _closes(own: Sequence[Suggestion]) -> str:
     )
 
 
-def document(found: Found, commands: Commands) -> dict[str, Any]:
+def document(found: ValidationReport, commands: Commands) -> dict[str, Any]:
     """Return the result for JSON."""
     return {
         "format": FORMAT,
@@ -212,7 +212,7 @@ def document(found: Found, commands: Commands) -> dict[str, Any]:
     }
 
 
-def _verdict(found: Found, verdict: Verdict, commands: Commands) -> dict[str, Any]:
+def _verdict(found: ValidationReport, verdict: AssumptionVerdict, commands: Commands) -> dict[str, Any]:
     plain = asdict(verdict)
     about = plain.pop("assumption")
     worst = verdict.worst

@@ -252,11 +252,11 @@ class Comparison:
         """Return the comparison as a table."""
         a, b = map(asdict, self.figures)
         rows = [f"{'':22}{self.platforms[0]:>12}{self.platforms[1]:>12}"]
-        rows += [f"{_TOLD[key]:22}{a[key]:12.3f}{b[key]:12.3f}" for key in _TOLD]
+        rows += [f"{_LABELS[key]:22}{a[key]:12.3f}{b[key]:12.3f}" for key in _LABELS]
         return "\n".join(rows) + "\n"
 
 
-_TOLD = {
+_LABELS = {
     "area_delta": "area in a delta, m^2",
     "area": "area, m^2",
     "volume_delta": "volume in a delta, m^3",

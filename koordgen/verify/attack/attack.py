@@ -31,12 +31,12 @@ from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
     Act,
-    Breach,
     Contradiction,
-    Judge,
-    Refused,
     Trial,
-    Unusable,
+    TrialJudge,
+    TrialNotCovered,
+    UnusableStep,
+    VerdictBreach,
     key_of,
 )
 from koordgen.verify.attack.models import Models
@@ -60,7 +60,7 @@ FIRST = 0.4  # part of the budget before the solver is asked
 Clock = Callable[[], float]
 
 
-class Report(NamedTuple):
+class AttackReport(NamedTuple):
     """Result of an attack. `states`: number of states in which each invariant was judged, by step (an event's name,
     "init", "(environment)") and invariant. `reasons`: why there were none, with the same keys."""
 
@@ -78,11 +78,11 @@ class Report(NamedTuple):
         return 0, found or "no state was found from which the step can be run"
 
 
-class Spent(Exception):
+class BudgetSpent(Exception):
     """The budget is used up."""
 
 
-class Found(Exception):
+class ContradictionFound(Exception):
     """A step contradicts a verdict."""
 
     def __init__(self, contradiction: Contradiction) -> None:
@@ -90,7 +90,7 @@ class Found(Exception):
         self.contradiction = contradiction
 
 
-class Place(NamedTuple):
+class RunPosition(NamedTuple):
     """Position within a run: its first state, the state at the round's start, the present state, the robots that had
     their turn in this round, all steps so far."""
 
@@ -100,24 +100,24 @@ class Place(NamedTuple):
     turns: frozenset[int]
     acts: tuple[Act, ...]
 
-    def then(self, act: Act, now: State) -> Place:
+    def then(self, act: Act, now: State) -> RunPosition:
         """Return the position after a step. The environment's step and `init` begin the next round."""
         acts = (*self.acts, act)
         if act.pid is None:
-            return Place(self.first, now, now, frozenset(), acts)
-        return Place(self.first, self.start, now, self.turns | {act.pid}, acts)
+            return RunPosition(self.first, now, now, frozenset(), acts)
+        return RunPosition(self.first, self.start, now, self.turns | {act.pid}, acts)
 
 
-def beginning(state: State) -> Place:
+def beginning(state: State) -> RunPosition:
     """Return the position of a state before `init` or at a round's start."""
-    return Place(state, state, state, frozenset(), ())
+    return RunPosition(state, state, state, frozenset(), ())
 
 
 def attack(
     program: decl.Program, proved: Collection[str], robots: int | None = None,
     params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
-) -> Report:  # fmt: skip
+) -> AttackReport:  # fmt: skip
     """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`. The default
     clock is CPU time, to which the time of the solver is added; with another clock, which counts work, waiting for the
     solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides pre-states."""
@@ -126,15 +126,15 @@ def attack(
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
     if not proved:
         return _none("nothing is PROVED")
-    search = _Search(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
+    search = _AttackSearch(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
     found = search.run()
     reasons = {("", ""): f"the budget of {1000 * seconds:g} ms was used up before"} if search.spent else {}
     reasons.update(search.judge.reasons)
-    return Report(dict(search.judge.counts), reasons, found, search.clock() - began)
+    return AttackReport(dict(search.judge.counts), reasons, found, search.clock() - began)
 
 
-def _none(why: str) -> Report:
-    return Report({}, {("", ""): why}, None, 0.0)
+def _none(why: str) -> AttackReport:
+    return AttackReport({}, {("", ""): why}, None, 0.0)
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
@@ -162,7 +162,7 @@ def _is_map(node: Node) -> bool:
     return isinstance(node, ir.Builtin) and node.name == "GridMap"
 
 
-class _Search:
+class _AttackSearch:
     def __init__(
         self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
         solver: Solver | CrossCheck | None, until: float, clock: Clock, seed: int,
@@ -175,12 +175,12 @@ class _Search:
         free = [] if rounded else [p.name for p in program.params if p.name not in params]
         self.states = States(self.exact, free, self.random)
         self.proved = proved
-        self.judge = Judge(self.exact, proved, self.states.answers)
+        self.judge = TrialJudge(self.exact, proved, self.states.answers)
         self.fleets = FLEETS if robots is None else (robots,)
         self.params, self.solver, self.until = params, solver, until
         self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds spent waiting for the solver
-        self.ready: list[Place] = []  # positions after `init`
+        self.ready: list[RunPosition] = []  # positions after `init`
         self.known: list[State] = []  # states at a round's start
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
@@ -201,11 +201,11 @@ class _Search:
                     if self.clock() > began + FIRST * (self.until - began):
                         break
                 self.alternate()
-        except Spent:
+        except BudgetSpent:
             pass
         except OutOfTime:
             self.spent = True
-        except Found as found:
+        except ContradictionFound as found:
             return self.confirmed(found.contradiction)
         return None
 
@@ -213,10 +213,10 @@ class _Search:
         """Run a contradiction again from its beginning, by another judge. Raises InternalError if it does not recur."""
         why = "the second run shows no contradiction"
         try:
-            again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
+            again = TrialJudge(self.exact, self.proved, self.states.answers).replay(found.trial).contradiction
             if again is not None:
                 return again
-        except (Refused, Unusable) as error:
+        except (TrialNotCovered, UnusableStep) as error:
             why = str(error)
         raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
 
@@ -236,13 +236,14 @@ class _Search:
             self.unit()
 
     def unit(self) -> None:
-        """Count one unit of work. Raises Spent if the budget is used up, or the last STALE units found no new state."""
+        """Count one unit of work. Raises BudgetSpent if the budget is used up, or the last STALE units found no new
+        state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
         self.spent = self.clock() > self.until
         if self.spent or self.units - self.news[1] > STALE:
-            raise Spent
+            raise BudgetSpent
 
     # Initial states and first rounds
 
@@ -256,7 +257,7 @@ class _Search:
                     yield from self.once(place)
                     yield from self.walk(place)
 
-    def launch(self, robots: int) -> Place | None:
+    def launch(self, robots: int) -> RunPosition | None:
         """Return a position after every robot's init; None if no initial state was found."""
         why = "no state was found that satisfies `initially`"
         for _ in range(TRIES):
@@ -267,7 +268,7 @@ class _Search:
                 if state is None or not self.fresh(state):
                     continue
                 after, act, breach = self.judge.init(state)
-            except (Unusable, NotExact, Discarded) as error:
+            except (UnusableStep, NotExact, Discarded) as error:
                 why = str(error)
                 continue
             place = self.check(beginning(state), act, after, breach)
@@ -277,7 +278,7 @@ class _Search:
         self.judge.reasons.setdefault((INIT, ""), why)
         return None
 
-    def once(self, place: Place) -> Iterator[None]:
+    def once(self, place: RunPosition) -> Iterator[None]:
         """Run every event that one robot alone may run in a state, each followed by the environment's step."""
         self.settle(place)
         for step in self.steps(place):
@@ -295,7 +296,7 @@ class _Search:
                 return
             yield from self.walk(self.random.choice(self.ready) if place is None else place)
 
-    def walk(self, place: Place) -> Iterator[None]:
+    def walk(self, place: RunPosition) -> Iterator[None]:
         for _ in range(ROUNDS):
             robots = len(place.now.robots)
             for pid in self.random.sample(range(robots), robots):
@@ -308,7 +309,7 @@ class _Search:
             place = moved
             self.known.append(place.now)
 
-    def turn(self, place: Place, pid: int) -> Place:
+    def turn(self, place: RunPosition, pid: int) -> RunPosition:
         """Run one of a robot's least run events. Return the same position if it has none."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
@@ -356,9 +357,9 @@ class _Search:
         """Run one round in every order, with the environment's step after each event, from a state that satisfies the
         PROVED invariants; at most `most` steps."""
         try:
-            if self.judge.relied_upon(state) or not self.fresh(state):
+            if self.judge.violated_hypothesis(state) or not self.fresh(state):
                 return
-        except Unusable as error:
+        except UnusableStep as error:
             if wanted:
                 self.judge.reasons.setdefault((wanted, ""), str(error))
             return
@@ -375,7 +376,7 @@ class _Search:
 
     # Steps
 
-    def steps(self, place: Place) -> Iterator[Place]:
+    def steps(self, place: RunPosition) -> Iterator[RunPosition]:
         """Run every event of every robot that had no turn yet."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
@@ -384,31 +385,32 @@ class _Search:
                     if step is not None:
                         yield step
 
-    def options(self, place: Place, pid: int) -> list[decl.Event]:
+    def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
         """Return the events that a robot may run."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
-        except Unusable:
+        except UnusableStep:
             return []
         if ready.fault is not None:
             act, breach = ready.fault
             self.check(place, act, place.now, breach)
         return ready.events
 
-    def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
-        """Return the position after a robot's event; None if the event has no result. Raises Spent, Found."""
+    def step(self, place: RunPosition, pid: int, event: decl.Event) -> RunPosition | None:
+        """Return the position after a robot's event; None if the event has no result. Raises BudgetSpent,
+        ContradictionFound."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
             found = self.judge.event(place.start, place.now, pid, event)
-        except Unusable:
+        except UnusableStep:
             return None
         if found is None:
             return None
         after, act, breach = found
         return self.check(place, act, after, breach)
 
-    def settle(self, place: Place) -> Place | None:
+    def settle(self, place: RunPosition) -> RunPosition | None:
         """Return the beginning of the next round, after the environment's step; None if the assumptions allow none of
         the moves that were drawn."""
         self.unit()
@@ -426,15 +428,15 @@ class _Search:
                     return None
                 fleet.append(move)
             after, act, breach = self.judge.moved(place.now, tuple(fleet))
-        except (Unusable, NotExact):
+        except (UnusableStep, NotExact):
             return None
         return self.check(place, act, after, breach)
 
-    def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
-        """Return the position after a step. Raises Found if the step contradicts a verdict."""
+    def check(self, place: RunPosition, act: Act, after: State, breach: VerdictBreach | None) -> RunPosition:
+        """Return the position after a step. Raises ContradictionFound if the step contradicts a verdict."""
         step = place.then(act, after)
         if breach is not None:
-            raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
+            raise ContradictionFound(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
         return step
 
     def fresh(self, state: State) -> bool:

@@ -42,7 +42,7 @@ from koordgen.lang.semantics.values import RecordValue, Value, conforms, encodab
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
-from koordgen.verify.attack.ports import Answer
+from koordgen.verify.attack.ports import PortAnswer
 
 FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
@@ -62,7 +62,7 @@ class BadFile(Exception):
         self.help = help
 
 
-class Given(NamedTuple):
+class TrialFile(NamedTuple):
     """Content of a file: the invariants that were PROVED, the trial, and the invariant that it contradicts."""
 
     proved: tuple[str, ...]
@@ -137,7 +137,7 @@ def plain(value: Any) -> Any:
 # Reading
 
 
-def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
+def read(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
     """Return the content of a file about a program, made exact. Raises BadFile."""
     if len(data) > MOST_BYTES:
         raise BadFile(f"it has {len(data)} bytes; the limit is {MOST_BYTES}")
@@ -147,7 +147,7 @@ def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
         raise BadFile("its JSON is nested too deeply") from None
     except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are such
         raise BadFile(f"it is not JSON, or was cut short: {error}") from None
-    file = _Reader(program)
+    file = _TrialReader(program)
     top = file.table(document, "the file", _TOP)
     if top["format"] != FORMAT:
         raise BadFile(f"its format is not {FORMAT}")
@@ -159,7 +159,7 @@ def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
     proved = file.names(top["proved"], "proved")
     invariant = file.name(top["invariant"], "invariant", proved)
     try:
-        return Given(proved, file.trial(top), invariant)
+        return TrialFile(proved, file.trial(top), invariant)
     except RecursionError:
         raise BadFile("a value in it is nested too deeply") from None
 
@@ -178,7 +178,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-class _Reader:
+class _TrialReader:
     """Parser of the parts of a file, which checks each against the program."""
 
     def __init__(self, program: decl.Program) -> None:
@@ -262,14 +262,14 @@ class _Reader:
         answers = self.items(table["answers"], "answers", 0, 1000)
         return Act(event, pid, (), tuple([self.answer(one, robots) for one in answers]))
 
-    def answer(self, data: Any, robots: int) -> Answer:
+    def answer(self, data: Any, robots: int) -> PortAnswer:
         table = self.table(data, "an answer", ("robot", "port", "arguments", "answer"))
         port = self.name(table["port"], "an answer's port", self.called)
         types = [arg.type for arg in self.called[port].args]
         given = self.items(table["arguments"], "arguments", len(types), len(types))
         args = tuple([self.value(one, type_, port) for one, type_ in zip(given, types, strict=True)])
         answer = self.value(table["answer"], self.called[port].type, port)
-        return Answer(self.whole(table["robot"], "an answer's robot", robots - 1), Asked(port, args, answer))
+        return PortAnswer(self.whole(table["robot"], "an answer's robot", robots - 1), Asked(port, args, answer))
 
     def values(self, data: Any, what: str, types: Mapping[str, Type]) -> dict[str, Value]:
         table = self.table(data, what, types)

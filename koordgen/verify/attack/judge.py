@@ -26,7 +26,7 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, run_init, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Span
-from koordgen.verify.attack.ports import TURNS, Answer, Draw, Ports
+from koordgen.verify.attack.ports import TURNS, AttackPorts, Draw, PortAnswer
 from koordgen.verify.prove.report.model import is_allowed
 from koordgen.verify.prove.report.model_reader import Unshowable
 
@@ -53,7 +53,7 @@ class Act(NamedTuple):
     event: str
     pid: int | None = None
     sensors: tuple[Mapping[str, Value], ...] = ()
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[PortAnswer, ...] = ()
 
 
 class Trial(NamedTuple):
@@ -64,7 +64,7 @@ class Trial(NamedTuple):
     acts: tuple[Act, ...]
 
 
-class Breach(NamedTuple):
+class VerdictBreach(NamedTuple):
     """Contradiction of one invariant, with its reason."""
 
     invariant: str
@@ -75,34 +75,34 @@ class Contradiction(NamedTuple):
     """A trial whose last step contradicts a PROVED invariant, and the states around that step."""
 
     trial: Trial
-    breach: Breach
+    breach: VerdictBreach
     before: State
     after: State
 
 
-class Ready(NamedTuple):
+class ReadyEvents(NamedTuple):
     """Events that a robot may run. `fault`: the step of one whose guard lacks a value that is promised."""
 
     events: list[decl.Event]
-    fault: tuple[Act, Breach] | None
+    fault: tuple[Act, VerdictBreach] | None
 
 
-class Followed(NamedTuple):
+class ReplayedTrial(NamedTuple):
     """Replayed trial: its states before the first step and after each; the contradiction in the last step, if any."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
 
 
-class Unusable(Exception):
+class UnusableStep(Exception):
     """A step shows nothing; the message gives the reason."""
 
 
-class Refused(Exception):
+class TrialNotCovered(Exception):
     """The verdicts do not cover this trial; the message gives the reason."""
 
 
-class Judge:
+class TrialJudge:
     """Judge of one program, made exact. `proved`: names of the PROVED invariants. `draw` proposes answers of callable
     ports. `counts`: number of states in which each invariant was judged, by step and invariant; `reasons`: why it could
     not be judged."""
@@ -122,14 +122,14 @@ class Judge:
         for function in program.functions:
             functions |= {function.name} if _is_fallible(function.block, functions) else set()
         self.fallible = {event.name for event in program.events if _is_fallible(event.guard, functions)}
-        self.ports = Ports(program, draw)
+        self.ports = AttackPorts(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
         self.known: set[tuple[object, ...]] = set()  # states after steps, and before events, that were judged
 
     # Claims about a state
 
-    def judged(self, state: State, event: str) -> Breach | None:
+    def judged(self, state: State, event: str) -> VerdictBreach | None:
         """Return the first PROVED invariant that is contradicted after `event`. Each state is judged once after each
         event."""
         if not self._new(event, key_of(state)):
@@ -140,17 +140,17 @@ class Judge:
                 return breach
         return None
 
-    def _judged(self, property_: decl.Property, state: State, event: str) -> Breach | None:
+    def _judged(self, property_: decl.Property, state: State, event: str) -> VerdictBreach | None:
         key = event, property_.name
         self.ports.lacking = ""
         try:
             if not holds_property(property_, self.program, state, self.ports.world):
-                return Breach(property_.name, "it is false")
+                return VerdictBreach(property_.name, "it is false")
         except Discarded as fault:
             if self.ports.lacking or not is_covered(fault.reason):
                 self.reasons[key] = self.ports.lacking or fault.reason
                 return None
-            return Breach(property_.name, f"it has no value: {fault}")
+            return VerdictBreach(property_.name, f"it has no value: {fault}")
         except (NotExact, NoMeaning, InternalError) as error:
             self.reasons[key] = str(error)
             return None
@@ -163,12 +163,12 @@ class Judge:
         return len(self.known) > before
 
     def is_start(self, state: State) -> bool:
-        """Return whether a mission may begin in a state. Raises Unusable if that is unknown."""
+        """Return whether a mission may begin in a state. Raises UnusableStep if that is unknown."""
         return all(self._true(property_, state) for property_ in self.initially)
 
-    def relied_upon(self, state: State) -> str:
+    def violated_hypothesis(self, state: State) -> str:
         """Return the name of a hypothesis that a state violates; empty if it satisfies all. Hypotheses are the PROVED
-        invariants, and formulas of `initially` about params, which hold for good. Raises Unusable."""
+        invariants, and formulas of `initially` about params, which hold for good. Raises UnusableStep."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"the formula of `initially` about params in line {part.span.line}"
@@ -181,16 +181,16 @@ class Judge:
         except Discarded:
             held = False
         except (NotExact, NoMeaning, InternalError) as error:
-            raise Unusable(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
+            raise UnusableStep(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
         if self.ports.lacking:
-            raise Unusable(self.ports.lacking)
+            raise UnusableStep(self.ports.lacking)
         return held
 
     # Steps
 
-    def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
+    def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
         """Run every robot's init. If an `init` is discarded, its robot stops and the mission does not begin. Then only
-        `(well-defined)` makes a promise, which excludes that. Raises Unusable."""
+        `(well-defined)` makes a promise, which excludes that. Raises UnusableStep."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -215,18 +215,20 @@ class Judge:
         broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
         return after, self._act(INIT), broken or self.judged(after, INIT)
 
-    def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
-        """Return what robot `pid` may do in a round that began with `start`. Raises Unusable."""
+    def ready(self, start: State, now: State, pid: int, given: Iterable[PortAnswer] | None = None) -> ReadyEvents:
+        """Return what robot `pid` may do in a round that began with `start`. Raises UnusableStep."""
         self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
             found = [self.events[step.event] for step in steps if step.event is not None]
             stopped = now.robots[pid].stopped or not self.defined
-            return Ready(found, None if stopped else self._guard_fault(start, now, pid, found))
+            return ReadyEvents(found, None if stopped else self._guard_fault(start, now, pid, found))
         except (NotExact, NoMeaning, InternalError) as error:
-            raise Unusable(f"the guards cannot be evaluated: {error}") from None
+            raise UnusableStep(f"the guards cannot be evaluated: {error}") from None
 
-    def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
+    def _guard_fault(
+        self, start: State, now: State, pid: int, found: list[decl.Event]
+    ) -> tuple[Act, VerdictBreach] | None:
         """Return the step of an event whose guard lacks a value that is promised."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
@@ -247,9 +249,9 @@ class Judge:
         return any(step.event == event.name for step in steps)
 
     def event(
-        self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[Answer] | None = None
-    ) -> tuple[State, Act, Breach | None] | None:
-        """Run an event of robot `pid` that `ready` found; None if it is discarded. Raises Unusable."""
+        self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[PortAnswer] | None = None
+    ) -> tuple[State, Act, VerdictBreach | None] | None:
+        """Run an event of robot `pid` that `ready` found; None if it is discarded. Raises UnusableStep."""
         self.ports.begin(now, given)  # other states may have been used since `ready`
         name = event.name
         try:
@@ -273,30 +275,32 @@ class Judge:
         after = applied(self.program, now, Step(pid, name, outcome))
         return after, self._act(name, pid), broken or self.judged(after, name)
 
-    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
+    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> VerdictBreach | None:
         """Return a PROVED loop invariant that was false when a step reached its head."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
             if name in violated:
-                return Breach(name, f"the loop invariant is false at its loop's head in {step}")
+                return VerdictBreach(name, f"the loop invariant is false at its loop's head in {step}")
             self.counts[owner, name] += new
         return None
 
-    def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
-        """Run the environment's step if the assumptions allow it. Raises Unusable."""
+    def environment(
+        self, now: State, sensors: tuple[Mapping[str, Value], ...]
+    ) -> tuple[State, Act, VerdictBreach | None]:
+        """Run the environment's step if the assumptions allow it. Raises UnusableStep."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
-                raise Unusable("the assumptions do not allow it")
+                raise UnusableStep("the assumptions do not allow it")
         return self.moved(now, sensors)
 
-    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
+    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, VerdictBreach | None]:
         """Run the environment's step, which the assumptions are known to allow."""
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
-        """Return whether the assumptions allow that a robot's ports become these. Raises Unusable."""
+        """Return whether the assumptions allow that a robot's ports become these. Raises UnusableStep."""
         try:
             return is_allowed(self.program, now.robots[pid].ports, ports, pid, now)
         except (Unshowable, NotExact, NoMeaning, InternalError) as error:
@@ -305,11 +309,11 @@ class Judge:
     def _act(self, event: str, pid: int | None = None) -> Act:
         return Act(event, pid, (), self.ports.answers())
 
-    def _unusable(self, event: str, why: str) -> Unusable:
+    def _unusable(self, event: str, why: str) -> UnusableStep:
         self.reasons[event, ""] = why
-        return Unusable(why)
+        return UnusableStep(why)
 
-    def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
+    def _fault(self, event: str, told: str, reason: str = "") -> VerdictBreach | None:
         """Return a breach of `(well-defined)`, if it promises that the operation has a value."""
         where = "init" if event == INIT else f"event {event}"
         _, claimed, within = told.partition(PROVED_RIGHT)
@@ -317,35 +321,35 @@ class Judge:
             if not reason:
                 raise self._unusable(event, told)
             return None
-        return Breach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
 
     # A whole trial
 
-    def follow(self, trial: Trial) -> Followed:
-        """Run a trial from its beginning, and check all of it. Raises Refused, Unusable."""
+    def replay(self, trial: Trial) -> ReplayedTrial:
+        """Run a trial from its beginning, and check all of it. Raises TrialNotCovered, UnusableStep."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
-                raise Refused("its first state violates a formula of `initially`")
-        elif broken := self.relied_upon(state):
-            raise Refused(f"its first state violates {broken}")
+                raise TrialNotCovered("its first state violates a formula of `initially`")
+        elif broken := self.violated_hypothesis(state):
+            raise TrialNotCovered(f"its first state violates {broken}")
         states, start = [state], state
         turns: set[int] = set()  # robots that had their turn in this round
-        breach: Breach | None = None
+        breach: VerdictBreach | None = None
         for act in acts:
             if breach is not None:
-                raise Refused("it goes on after a step that contradicts a verdict")
+                raise TrialNotCovered("it goes on after a step that contradicts a verdict")
             if act.pid in turns:
-                raise Refused(f"robot {act.pid} runs two events in one round")
-            now, breach = self._followed(start, states[-1], act)
+                raise TrialNotCovered(f"robot {act.pid} runs two events in one round")
+            now, breach = self._replayed(start, states[-1], act)
             states.append(now)
             start, turns = (now, set()) if act.pid is None else (start, turns | {act.pid})
-        return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
+        return ReplayedTrial(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
-    def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
+    def _replayed(self, start: State, now: State, act: Act) -> tuple[State, VerdictBreach | None]:
         """Run one step of a trial, in a round that began with `start`."""
         if (act.event == INIT) != (now.round == 0):
-            raise Refused("`init` must be the first step, and occur once")
+            raise TrialNotCovered("`init` must be the first step, and occur once")
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach
@@ -358,11 +362,11 @@ class Judge:
             if event.name == act.event:
                 step = self.event(start, now, act.pid, event, act.answers)
                 if step is None:
-                    raise Refused(f"event {act.event} of robot {act.pid} is discarded")
+                    raise TrialNotCovered(f"event {act.event} of robot {act.pid} is discarded")
                 return step[0], step[2]
         if ready.fault is not None and ready.fault[0].event == act.event:
             return now, ready.fault[1]
-        raise Refused(f"robot {act.pid} may not run {act.event} at its step")
+        raise TrialNotCovered(f"robot {act.pid} may not run {act.event} at its step")
 
 
 def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:

@@ -41,7 +41,7 @@ class Models:
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        self.asked: dict[tuple[str, int], _Asked | None] = {}  # None: too large to encode
+        self.asked: dict[tuple[str, int], _Hypotheses | None] = {}  # None: too large to encode
         self.why = ""
         self.waited = 0.0  # seconds spent waiting for the solver
         t.forget()
@@ -53,7 +53,7 @@ class Models:
         if key not in self.asked:
             t.count_anew()
             try:
-                self.asked[key] = _Asked(self._hypotheses(event, robots))
+                self.asked[key] = _Hypotheses(self._hypotheses(event, robots))
             except t.EncodingTooLarge as error:
                 self.asked[key] = None
                 self.why = f"the assumptions before the step cannot be encoded: {error}"
@@ -67,7 +67,7 @@ class Models:
         asked.useless = True
         return None
 
-    def _answered(self, asked: _Asked, more: tuple[Term, ...], robots: int, most: float) -> State | None:
+    def _answered(self, asked: _Hypotheses, more: tuple[Term, ...], robots: int, most: float) -> State | None:
         if asked.useless:
             return None
         facts = tuple(
@@ -87,7 +87,7 @@ class Models:
             self.why = f"the solver's states cannot be run: {error}"
             return None
 
-    def _nudges(self, asked: _Asked) -> tuple[Term, ...]:
+    def _nudges(self, asked: _Hypotheses) -> tuple[Term, ...]:
         """Return conditions on some parts of a state, so that the next model differs from the last."""
         parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
         if not parts:
@@ -95,7 +95,7 @@ class Models:
         chosen = [self.random.choice(parts) for _ in range(self.random.randint(1, NUDGES))]
         return tuple([self._nudge(part, asked) for part in dict.fromkeys(chosen)])
 
-    def _nudge(self, part: Term, asked: _Asked) -> Term:
+    def _nudge(self, part: Term, asked: _Hypotheses) -> Term:
         if part.sort == t.BOOL:
             return part if self.random.random() < 0.5 else t.not_(part)
         number = self.random.choice(NUMBERS)
@@ -157,7 +157,7 @@ def _is_readable(type_: Type) -> bool:
             return not isinstance(type_, MapOf)
 
 
-class _Asked:
+class _Hypotheses:
     """Encoded hypotheses, and the reader of their models."""
 
     def __init__(self, obligation: Obligation) -> None:

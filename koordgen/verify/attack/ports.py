@@ -23,14 +23,14 @@ Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
 Question = tuple[int, str, tuple[Value, ...]]
 
 
-class Answer(NamedTuple):
+class PortAnswer(NamedTuple):
     """Answer of a callable port to robot `pid`."""
 
     pid: int
     asked: Asked
 
 
-class Ports:
+class AttackPorts:
     """Callable ports and extern functions of one step after the other. The semantics calls `world`. `lacking`: why the
     present step shows nothing, if a call has no known answer."""
 
@@ -42,14 +42,14 @@ class Ports:
         self.asked: dict[Question, Value] = {}
         self.given: Mapping[Question, Value] | None = None
 
-    def begin(self, state: State, given: Iterable[Answer] | None = None) -> None:
+    def begin(self, state: State, given: Iterable[PortAnswer] | None = None) -> None:
         """Prepare for a step from `state`. If `given`, only these calls have answers."""
         self.state, self.lacking, self.asked = state, "", {}
         self.given = None if given is None else {(pid, a.port, a.args): a.answer for pid, a in given}
 
-    def answers(self) -> tuple[Answer, ...]:
+    def answers(self) -> tuple[PortAnswer, ...]:
         """Return all answers since the step began."""
-        return tuple([Answer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
+        return tuple([PortAnswer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
 
     def answer(self, pid: int, port: str, args: tuple[Value, ...]) -> Value:
         question = (pid, port, args)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from koordgen.lang.ir import decl
-from koordgen.verify.audit.finding import Finding
+from koordgen.verify.audit.finding import PropertyResult
 from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 
@@ -21,13 +21,13 @@ class Blame:
     later than the invariant, the earliest first. `unseen`: those that were not observed throughout, so may have
     broken."""
 
-    invariant: Finding
+    invariant: PropertyResult
     rests: tuple[LedgerEntry, ...]
-    broke: tuple[tuple[LedgerEntry, Finding], ...]
+    broke: tuple[tuple[LedgerEntry, PropertyResult], ...]
     unseen: tuple[LedgerEntry, ...]
 
 
-def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
+def blames(program: decl.Program, findings: Sequence[PropertyResult]) -> list[Blame]:
     """Return the blame of each invariant that was violated or had no value."""
     violated = [f for f in findings if f.of == "invariant" and f.first is not None]
     if not violated:
@@ -45,7 +45,7 @@ def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
     return found
 
 
-def _blame(invariant: Finding, rests: tuple[LedgerEntry, ...], findings: Sequence[Finding]) -> Blame:
+def _blame(invariant: PropertyResult, rests: tuple[LedgerEntry, ...], findings: Sequence[PropertyResult]) -> Blame:
     assert invariant.first is not None
     broke, unseen = [], []
     for entry in rests:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from koordgen.verify.audit.story import Mission
+from koordgen.verify.audit.story import FleetMission
 
 SLACK = 0.05  # s that a round may be off, beyond the bound that clocks state for themselves
 DRIFT = 1e-3  # s a second: twice the drift between two clocks
 
 
-def notes(mission: Mission) -> list[str]:
+def notes(mission: FleetMission) -> list[str]:
     """Return notes about robots whose clock and rounds differ. Fleet time is counted in rounds; a robot's own clock
     only decides when its rounds begin."""
     found = []

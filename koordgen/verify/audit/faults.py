@@ -9,24 +9,24 @@ from typing import Any
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
-from koordgen.verify.audit.finding import AFTER, Finding, Moment, Outcome, Violation
-from koordgen.verify.audit.story import Mission, Story
+from koordgen.verify.audit.finding import AFTER, AuditViolation, Observation, Outcome, PropertyResult
+from koordgen.verify.audit.story import FleetMission, RobotHistory
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
 _CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # the format of runtime/program/extern.py
 
 
-def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
+def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
     """Return a result for each line of a contract, and a last one of every program: no event is discarded for a cause
     in the program. Robots do not record single calls, so events are counted."""
     found = {
-        formula.span.line: Finding("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
+        formula.span.line: PropertyResult("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
         for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures))
         for formula in formulas
     }
-    general = Finding("well-defined", "", 0)
+    general = PropertyResult("well-defined", "", 0)
     _miss([*found.values(), general], mission)
     for round_ in range(max(1, mission.first), mission.last + 1):
         told: dict[int, list[tuple[Outcome, str]]] = {line: [] for line in (0, *found)}
@@ -48,14 +48,14 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
     return [*found.values(), general]
 
 
-def loops(program: decl.Program, mission: Mission) -> list[Finding]:
+def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
     """Return a result for each loop invariant. Events and `init`s are counted, whether they contain the loop or not."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
-    found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
+    found = {line: PropertyResult("loop invariant", f"line {line}", line) for line in sorted(invariants)}
     _miss(list(found.values()), mission)
     for round_ in range(mission.first, mission.last + 1):
-        ran: list[tuple[Story, Mapping[str, Any]]] = []
+        ran: list[tuple[RobotHistory, Mapping[str, Any]]] = []
         for story in mission.stories:
             record = (story.init or {}) if round_ == 0 else _record(story, round_)
             if record.get("kind") == "init" or (record.get("event") is not None and record.get("fault") is None):
@@ -69,29 +69,29 @@ def loops(program: decl.Program, mission: Mission) -> list[Finding]:
                 told.append(("violated" if broken else "held", ""))
                 if broken and finding.first is None:
                     read = (f"in {record.get('event') or 'init'}: {to_koord(invariants[line].formula)}",)
-                    finding.first = Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
+                    finding.first = AuditViolation(Observation(round_, False), AFTER, (story.name,), (), read, "", ())
             finding.close(round_, told, of_each=True)
     return list(found.values())
 
 
-def _miss(findings: list[Finding], mission: Mission) -> None:
+def _miss(findings: list[PropertyResult], mission: FleetMission) -> None:
     """Count the rounds of each robot that no trace records."""
     if mission.first:
         for finding in findings:
             finding.miss(mission.first, len(mission.stories))
 
 
-def _record(story: Story, round_: int) -> Mapping[str, Any]:
+def _record(story: RobotHistory, round_: int) -> Mapping[str, Any]:
     return story.rounds[round_].record if round_ in story.rounds else {}
 
 
-def late(mission: Mission) -> int:
+def late(mission: FleetMission) -> int:
     """Return the number of events that were discarded because they took too long, which is no fault of the program."""
     faults = [line.record.get("fault") for story in mission.stories for line in story.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
-def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
+def _line(record: Mapping[str, Any], contracts: Mapping[int, PropertyResult]) -> int:
     """Return the line of the broken contract; 0 if an event was discarded for another cause in the program, else -1."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
@@ -100,8 +100,8 @@ def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
     return int(told[1]) if told and int(told[1]) in contracts else 0
 
 
-def _violation(story: Story, round_: int, record: Mapping[str, Any]) -> Violation:
+def _violation(story: RobotHistory, round_: int, record: Mapping[str, Any]) -> AuditViolation:
     fault = record["fault"]
     why = Fault(fault.get("file", ""), fault.get("line", 0), fault["reason"])
     read = (f"{record.get('event') or 'a guard'} was discarded, {why}",)
-    return Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
+    return AuditViolation(Observation(round_, False), AFTER, (story.name,), (), read, "", ())

@@ -13,7 +13,7 @@ WORST: tuple[Outcome, ...] = ("violated", "no value", "unknown", "held")
 BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
-class Moment(NamedTuple):
+class Observation(NamedTuple):
     """Time of an observation: right after a round's events, or at its end; round 0 is `init`. Times are ordered."""
 
     round: int
@@ -24,7 +24,7 @@ class Moment(NamedTuple):
         return max(0.0, (self.round - 1 + self.end) * delta)
 
 
-class Row(NamedTuple):
+class ValueRow(NamedTuple):
     """Value of a variable at the previous and at this observation. `robot` is empty for an allwrite variable."""
 
     robot: str
@@ -34,20 +34,20 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Violation:
+class AuditViolation:
     """First violation of a property. `robots`: those for which it was false; `bound` and `read`: the values that its
     formula used; `why`: the reason if it had no value. `where`: the time within the round, in words."""
 
-    moment: Moment
+    moment: Observation
     where: str
     robots: tuple[str, ...]
     bound: tuple[str, ...]
     read: tuple[str, ...]
     why: str
-    rows: tuple[Row, ...]
+    rows: tuple[ValueRow, ...]
 
 
-class Span(NamedTuple):
+class OutcomeSpan(NamedTuple):
     """Rounds from `since` to `until`, both included, with one outcome."""
 
     since: int
@@ -56,7 +56,7 @@ class Span(NamedTuple):
 
 
 @dataclass
-class Finding:
+class PropertyResult:
     """Result of one property. `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not;
     for an assumption, summed over all robots. `missing`: unknown values with their cause, and the number of rounds.
     `unchecked`: the reason why it can never be evaluated. `unseen`: a robot may have broken this assumption, because it
@@ -70,9 +70,9 @@ class Finding:
     rounds: int = 0
     unknown: int = 0
     violated: int = 0
-    first: Violation | None = None
+    first: AuditViolation | None = None
     missing: dict[str, int] = field(default_factory=dict)
-    spans: list[Span] = field(default_factory=list)
+    spans: list[OutcomeSpan] = field(default_factory=list)
 
     @property
     def title(self) -> str:
@@ -93,7 +93,7 @@ class Finding:
         self.unknown += first * of_each
         self.unseen = self.of == "assume"
         self.missing[f"rounds 0 to {first - 1}: no trace records them"] = first * of_each
-        self.spans.append(Span(0, first - 1, "unknown"))
+        self.spans.append(OutcomeSpan(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
         """Return the outcome of a round; unknown if it was not evaluated."""
@@ -113,4 +113,4 @@ class Finding:
         if self.spans and self.spans[-1].outcome == worst[0] and self.spans[-1].until == round_ - 1:
             self.spans[-1] = self.spans[-1]._replace(until=round_)
         else:
-            self.spans.append(Span(round_, round_, worst[0]))
+            self.spans.append(OutcomeSpan(round_, round_, worst[0]))

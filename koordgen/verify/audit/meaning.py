@@ -21,12 +21,12 @@ from koordgen.runtime.program.property import UNKNOWN, Properties
 from koordgen.runtime.values.points import Point
 from koordgen.verify.prove.report.table import shown
 from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
-from koordgen.verify.replay.values import BadValue, taken
+from koordgen.verify.replay.values import BadValue, from_trace
 
 ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # arguments of a planner: a goal, and obstacles as grid cells
 
 
-class Meaning:
+class GeneratedProperties:
     """Generated properties of one program. `types`: types of variables and ports by name. Loads the user's file of
     extern functions. Raises CannotCall."""
 
@@ -77,7 +77,7 @@ class Meaning:
         try:
             if _hidden(data):
                 return UNKNOWN
-            return python_value(taken(data, type_), type_, self._scope, self._names)
+            return python_value(from_trace(data, type_), type_, self._scope, self._names)
         except (BadValue, RecursionError, OverflowError):
             return UNKNOWN
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from koordgen.verify.audit.finding import Finding
-from koordgen.verify.audit.story import FOREVER, Mission, Story
+from koordgen.verify.audit.finding import PropertyResult
+from koordgen.verify.audit.story import FOREVER, FleetMission, RobotHistory
 
 SLACK = 2  # rounds by which a robot may report a violation late
 _BAD = ("violated", "no value")
 
 
-def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
+def compared(findings: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
     """Return notes about violations that monitors reported and the audit does not show, and vice versa."""
     notes: list[str] = []
     for finding in findings:
@@ -24,7 +24,7 @@ def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
     return notes
 
 
-def _said(finding: Finding, story: Story) -> list[tuple[int, int, Mapping[str, Any]]]:
+def _said(finding: PropertyResult, story: RobotHistory) -> list[tuple[int, int, Mapping[str, Any]]]:
     """Return a robot's reports about a property, each with its first round and the round in which it ends."""
     mine = [r for r in story.monitors if _of(r) == finding.of and _line(r) == finding.line]
     mine.sort(key=lambda r: int(r["round"]))
@@ -42,7 +42,9 @@ def _line(record: Mapping[str, Any]) -> int:
     return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
-def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:
+def _alone(
+    finding: PropertyResult, story: RobotHistory, spans: list[tuple[int, int, Mapping[str, Any]]]
+) -> Iterator[str]:
     """Yield notes about reported violations where the property held."""
     for since, until, record in spans:
         if record.get("outcome") not in _BAD:
@@ -57,7 +59,7 @@ def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[s
 
 
 def _unsaid(
-    finding: Finding, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: Mission
+    finding: PropertyResult, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
 ) -> Iterator[str]:
     """Yield a note about a violation that no monitor reported."""
     bad = next((span for span in finding.spans if span.outcome in _BAD), None)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from koordgen.verify.audit.blame import Blame
-from koordgen.verify.audit.finding import BEGIN, Finding, Violation
-from koordgen.verify.audit.story import Mission
+from koordgen.verify.audit.finding import BEGIN, AuditViolation, PropertyResult
+from koordgen.verify.audit.story import FleetMission
 from koordgen.verify.prove.report.show import wrapped
 
 WIDTH = 100
@@ -24,8 +24,8 @@ class Audit:
     asked. `ended`: a limit of time ended the audit early."""
 
     program: str  # the program's file
-    mission: Mission
-    findings: Sequence[Finding]
+    mission: FleetMission
+    findings: Sequence[PropertyResult]
     blames: Sequence[Blame]
     notes: Sequence[str]
     proved: Mapping[str, str] | None = None
@@ -66,7 +66,7 @@ def report(audit: Audit) -> str:
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def _table(findings: Sequence[Finding]) -> Iterator[str]:
+def _table(findings: Sequence[PropertyResult]) -> Iterator[str]:
     rows = [("verdict", "property", "line", "rounds", "violated", "unknown")]
     rows += [
         (f.verdict, f.title, str(f.line or ""), str(f.rounds), str(f.violated or ""), str(f.unknown or ""))
@@ -82,7 +82,7 @@ def _table(findings: Sequence[Finding]) -> Iterator[str]:
         yield "  ".join([*left, *right])
 
 
-def _details(finding: Finding, audit: Audit) -> Iterator[str]:
+def _details(finding: PropertyResult, audit: Audit) -> Iterator[str]:
     if finding.first is not None:
         yield ""
         yield from _violation(finding, finding.first, audit)
@@ -101,7 +101,7 @@ def _details(finding: Finding, audit: Audit) -> Iterator[str]:
             yield f"  and {len(missing) - MOST_MISSING} more reasons"
 
 
-def when(violation: Violation, mission: Mission) -> str:
+def when(violation: AuditViolation, mission: FleetMission) -> str:
     """Return the time of a violation in words."""
     seconds = violation.moment.seconds(mission.delta)
     round_ = violation.moment.round
@@ -117,7 +117,7 @@ def when(violation: Violation, mission: Mission) -> str:
     return f"{seconds:.2f} s, round {round_} {violation.where}{fleet}"
 
 
-def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str]:
+def _violation(finding: PropertyResult, first: AuditViolation, audit: Audit) -> Iterator[str]:
     verb = "has no value" if finding.verdict == "no value" else "is violated"
     place = f" ({audit.program}:{finding.line})" if finding.line else ""
     robots = f", {', '.join(first.robots)}" if first.robots else ""
@@ -131,7 +131,7 @@ def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str
         yield from _rows(first)
 
 
-def _rows(violation: Violation) -> Iterator[str]:
+def _rows(violation: AuditViolation) -> Iterator[str]:
     rows = [("robot", "variable", "before", "after")]
     last = ""
     for robot, variable, before, after in violation.rows:
@@ -169,7 +169,7 @@ def sentence(blame: Blame, audit: Audit) -> str:
     return f"{name} is PROVED, and {seen}: {bug}"
 
 
-def _gone(blame: Blame, mission: Mission) -> str:
+def _gone(blame: Blame, mission: FleetMission) -> str:
     """Name the robots that had left the model by then, or had gaps in their traces; no proof covers their bodies."""
     first = blame.invariant.first
     assert first is not None
@@ -181,7 +181,7 @@ def _gone(blame: Blame, mission: Mission) -> str:
     return f"; by then {', '.join(names)} had been outside of the model, which no proof covers" if names else ""
 
 
-def _broke(finding: Finding, mission: Mission) -> str:
+def _broke(finding: PropertyResult, mission: FleetMission) -> str:
     first = finding.first
     assert first is not None
     robots = f" by robot {', '.join(first.robots)}" if first.robots else ""
@@ -212,7 +212,7 @@ def document(audit: Audit, status: int) -> dict[str, Any]:
     }
 
 
-def _property(finding: Finding, audit: Audit) -> dict[str, Any]:
+def _property(finding: PropertyResult, audit: Audit) -> dict[str, Any]:
     blame = next((b for b in audit.blames if b.invariant is finding), None)
     return {
         "of": finding.of,
@@ -230,7 +230,7 @@ def _property(finding: Finding, audit: Audit) -> dict[str, Any]:
     }
 
 
-def _first(first: Violation, mission: Mission) -> dict[str, Any]:
+def _first(first: AuditViolation, mission: FleetMission) -> dict[str, Any]:
     seconds = first.moment.seconds(mission.delta)
     return {
         "round": first.moment.round,

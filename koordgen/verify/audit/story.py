@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from koordgen.runtime.program.runner import LEFT
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import LOST, Log
-from koordgen.verify.replay.trace import Line
+from koordgen.verify.audit.reading import LOST, TraceFile
+from koordgen.verify.replay.trace import TraceLine
 
 FOREVER = 1 << 60
 # Format of an agent's phase record when its rounds begin.
@@ -31,14 +31,14 @@ def _why(gaps: Sequence[Gap], round_: int) -> str | None:
 
 
 @dataclass
-class Life:
+class ProcessLife:
     """One start of a robot's process, with its records in their order."""
 
-    log: Log
+    log: TraceFile
     pid: int
     mission: str = ""
     start: float | None = None  # fleet time of round 1, s
-    lines: list[Line] = field(default_factory=list)
+    lines: list[TraceLine] = field(default_factory=list)
 
     @property
     def continues(self) -> bool:
@@ -52,7 +52,7 @@ class Life:
 
 
 @dataclass
-class Story:
+class RobotHistory:
     """One robot in the mission. `lives`: empty if there is no trace of it. `turns`: at the start of a round its own
     variables get these values (with `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may
     have written values without a record. `out`: rounds in which it had stopped; `away`: in which the others had removed
@@ -61,11 +61,11 @@ class Story:
 
     pid: int
     name: str
-    lives: list[Life] = field(default_factory=list)
+    lives: list[ProcessLife] = field(default_factory=list)
     lacks: bool = False
     since: int = 0
     init: Mapping[str, Any] | None = None
-    rounds: dict[int, Line] = field(default_factory=dict)
+    rounds: dict[int, TraceLine] = field(default_factory=dict)
     turns: dict[int, Mapping[str, Any] | None] = field(default_factory=dict)
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
@@ -99,17 +99,17 @@ class Story:
 
 
 @dataclass
-class Mission:
+class FleetMission:
     """One mission of a fleet, from all trace files. `notes` are for the user."""
 
     name: str
     app: str
     delta: float
     start: float | None
-    stories: list[Story]
+    stories: list[RobotHistory]
     notes: list[str]
     cut: bool
-    log: Log  # a file of the program's version, the same for all files
+    log: TraceFile  # a file of the program's version, the same for all files
     step: bool = False  # as of a Log
 
     @property
@@ -123,7 +123,7 @@ class Mission:
         return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.stories), default=0)
 
 
-def mission(logs: Sequence[Log]) -> Mission:
+def mission(logs: Sequence[TraceFile]) -> FleetMission:
     """Return the only mission in the files. Raises BadTrace."""
     logs, old = _of_one_version(_by_age(logs))
     _same(logs)
@@ -140,12 +140,12 @@ def mission(logs: Sequence[Log]) -> Mission:
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
     left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
     notes += [f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()]
-    stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
+    stories = [RobotHistory(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
         if life.mission in (chosen, ""):
             stories[life.pid].lives.append(life)
     for story in stories:
-        _tell(story)
+        _build_rounds(story)
     _views(stories)
     notes[:0] = [
         f"{story.name}'s trace begins in round {story.since}: the older parts are missing (a robot deletes "
@@ -159,30 +159,30 @@ def mission(logs: Sequence[Log]) -> Mission:
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
     cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
     start, log = starts[0] if starts else None, logs[0]
-    return Mission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
+    return FleetMission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
 
 
-def _by_age(logs: Sequence[Log]) -> list[Log]:
+def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
     """Return the files of each robot together, the oldest first."""
     order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
     return sorted(logs, key=lambda log: (order[log.family], log.age))
 
 
-def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
+def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[TraceFile]]:
     """Return the files of the program that each robot ran last, and those of earlier programs."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
-    kept: list[Log] = []
-    old: list[Log] = []
+    kept: list[TraceFile] = []
+    old: list[TraceFile] = []
     for log in logs:
         (kept if (log.program_hash, log.n_sys) == newest[log.family] else old).append(log)
     return kept, old
 
 
-def _joined(lives: Sequence[Life]) -> list[Life]:
+def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
     """Give each part the mission that a later part of the same start names. Records of a robot that restarted before
     its first round belong to no mission and are left out."""
-    joined: list[Life] = []
-    later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
+    joined: list[ProcessLife] = []
+    later: dict[tuple[Path, int, int], ProcessLife] = {}  # the next life in the same files
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
         if follower is not None and follower.continues and not life.mission:
@@ -193,7 +193,7 @@ def _joined(lives: Sequence[Life]) -> list[Life]:
     return joined[::-1]
 
 
-def _same(logs: Sequence[Log]) -> None:
+def _same(logs: Sequence[TraceFile]) -> None:
     """Check that all files are of one program and one fleet. Raises BadTrace."""
     first = logs[0]
     for log in logs[1:]:
@@ -207,9 +207,9 @@ def _same(logs: Sequence[Log]) -> None:
                 raise BadTrace(f"{first.path} and {log.path} differ in the {what}: {mine} and {its}")
 
 
-def _lives(log: Log) -> Iterator[Life]:
+def _lives(log: TraceFile) -> Iterator[ProcessLife]:
     """Yield each robot's lives, in their order. A life may lack any round, `init` and mission."""
-    current: dict[int, Life] = {}
+    current: dict[int, ProcessLife] = {}
     for line in log.lines:
         record = line.record
         kind = record["kind"]
@@ -219,7 +219,7 @@ def _lives(log: Log) -> Iterator[Life]:
             if life is None or (begins and any(each.record["kind"] not in ("header", "phase") for each in life.lines)):
                 if life is not None:
                     yield life
-                life = current[pid] = Life(log, pid)
+                life = current[pid] = ProcessLife(log, pid)
             life.lines.append(line)
             told = _MISSION.match(record.get("detail", "")) if kind == "phase" else None
             if told:
@@ -227,7 +227,7 @@ def _lives(log: Log) -> Iterator[Life]:
     yield from current.values()
 
 
-def _chosen(lives: Sequence[Life]) -> str:
+def _chosen(lives: Sequence[ProcessLife]) -> str:
     """Return the mission that all files have a part in. Files that one robot wrote in one folder count as one. Raises
     BadTrace if there is none."""
     named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, with the last file that names it
@@ -245,16 +245,16 @@ def _chosen(lives: Sequence[Life]) -> str:
     raise BadTrace(f"{path} and {other} are of different missions of the fleet: {mine} and {its}")
 
 
-def _tell(story: Story) -> None:
+def _build_rounds(story: RobotHistory) -> None:
     """Build a robot's rounds from its lives. Raises BadTrace."""
     story.lives.sort(key=_order)
-    teller = _Teller(story)
+    teller = _HistoryBuilder(story)
     for life in story.lives:
         teller.live(life)
     teller.end()
 
 
-def _order(life: Life) -> tuple[int, int]:
+def _order(life: ProcessLife) -> tuple[int, int]:
     """Order lives of one file as they stand in it, those of several files by their rounds."""
     first = FOREVER
     for line in life.lines:
@@ -265,10 +265,10 @@ def _order(life: Life) -> tuple[int, int]:
     return first, life.lines[0].number
 
 
-class _Teller:
+class _HistoryBuilder:
     """Builder of one robot's history from its lives."""
 
-    def __init__(self, story: Story) -> None:
+    def __init__(self, story: RobotHistory) -> None:
         self.story = story
         self.previous = -1  # last round with a record; 0: `init`
         self.doubt = ""  # why there may be rounds after it without a record
@@ -278,7 +278,7 @@ class _Teller:
         self.left = FOREVER  # first round in which it had left the mission
         self.whose: dict[int, Path] = {}  # round -> file that records it
 
-    def live(self, life: Life) -> None:
+    def live(self, life: ProcessLife) -> None:
         story = self.story
         if not life.continues:
             self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
@@ -325,7 +325,7 @@ class _Teller:
             self.previous = round_
         self.doubt, self.came_back = "", False
 
-    def own(self, life: Life, round_: int) -> bool:
+    def own(self, life: ProcessLife, round_: int) -> bool:
         """Return whether a round is recorded for the first time. Raises BadTrace if another file records it, too."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
@@ -333,7 +333,7 @@ class _Teller:
             raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both record {what}")
         return round_ not in self.story.rounds
 
-    def round(self, life: Life, line: Line) -> None:
+    def round(self, life: ProcessLife, line: TraceLine) -> None:
         story, round_ = self.story, line.record["round"]
         if self.previous < 0 and not self.doubt:
             self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
@@ -345,7 +345,7 @@ class _Teller:
         story.rounds[round_] = line
         self.previous = max(self.previous, round_)
 
-    def join(self, life: Life, gap: Gap) -> None:
+    def join(self, life: ProcessLife, gap: Gap) -> None:
         """Add the gap before a record, and the state with which a robot that restarted went on."""
         self.story.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
@@ -377,7 +377,7 @@ def _time(record: Mapping[str, Any]) -> float:
     return float(record.get("time", record.get("t", 0.0)))
 
 
-def _views(stories: Sequence[Story]) -> None:
+def _views(stories: Sequence[RobotHistory]) -> None:
     """Add the rounds in which a robot was removed by the others."""
     views = {
         line.record["number"]: line.record

@@ -11,17 +11,17 @@ from typing import Any
 
 from koordgen.runtime.program.program import Calls
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.verify.audit.meaning import Meaning
-from koordgen.verify.audit.story import Mission, Story
-from koordgen.verify.replay.store import Writes, had_frame
+from koordgen.verify.audit.meaning import GeneratedProperties
+from koordgen.verify.audit.story import FleetMission, RobotHistory
+from koordgen.verify.replay.store import RecordedWrites, had_frame
 
 
-class Whole:
+class FleetState:
     """State of the fleet. `values` by name, as generated properties read them: a list by pid for a local variable, a
     port and an allread variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last
     round that was applied; initially the one before the mission's `first`."""
 
-    def __init__(self, meaning: Meaning, mission: Mission) -> None:
+    def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         stories = mission.stories
         self.round = mission.first - 1
         self.values: dict[str, Any] = {}
@@ -93,7 +93,7 @@ class Whole:
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
 
-    def _act(self, pid: int, story: Story) -> None:
+    def _act(self, pid: int, story: RobotHistory) -> None:
         own, record = self._own[pid], self.record(pid, self.round)
         if self.round in story.turns:
             own.clear()
@@ -121,12 +121,12 @@ class Whole:
 class _Shared:
     """Shared store after each round: as some robot saw it at the next round's start, else by the recorded writes."""
 
-    def __init__(self, meaning: Meaning, stories: list[Story], first: int) -> None:
+    def __init__(self, meaning: GeneratedProperties, stories: list[RobotHistory], first: int) -> None:
         self._meaning, self._stories = meaning, stories
-        self._writes = Writes(meaning.program, len(stories))
+        self._writes = RecordedWrites(meaning.program, len(stories))
         for story in stories:
             for record in [story.init or {}, *[line.record for line in story.rounds.values()]]:
-                self._writes.hear(story.pid, record)
+                self._writes.add_record(story.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
         self._copies: list[dict[str, Any]] = [{} for _ in stories]  # allread variables by pid
         self._told: dict[str, Any] = {}  # last `_store` that was converted, in JSON
@@ -160,7 +160,7 @@ class _Shared:
             else:
                 self._store[name] = UNKNOWN
 
-    def _see(self, story: Story, round_: int) -> None:
+    def _see(self, story: RobotHistory, round_: int) -> None:
         """Take the store over as a robot saw it at the start of a round."""
         copy = self._copies[story.pid]
         if story.turns.get(round_, copy) is None:

@@ -21,8 +21,8 @@ from koordgen.lang.semantics.step import Step as Done
 from koordgen.lang.semantics.step import applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.follow.exact import agree, fraction, nearest
-from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, Counterexample, Step, Told
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
 MOST = 5  # most events of a round for which every split is tried; for more, only the usual splits are
 LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may choose its events
@@ -32,7 +32,7 @@ SHORT = "a proof's numbers are exact: give --param, or other values in the progr
 Events = Mapping[int, str]  # by pid
 
 
-class CannotFollow(Exception):
+class CannotExecute(Exception):
     """The trace is not of this program, or robots cannot do it; the message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
@@ -40,11 +40,11 @@ class CannotFollow(Exception):
         self.help = help
 
 
-class ModelOnly(CannotFollow):
+class ModelOnly(CannotExecute):
     """The trace is, or may be, a behaviour of the language that agents do not have."""
 
 
-class Round(NamedTuple):
+class AgentRound(NamedTuple):
     """One agents' round. `of`: the round of the trace to which it belongs; `events`: the event that each robot is to
     try; `free`: robots choose their events themselves; `state`: the state when it begins; `calls` by pid."""
 
@@ -56,19 +56,19 @@ class Round(NamedTuple):
     calls: Mapping[int, tuple[Any, ...]]
 
 
-class Plan(NamedTuple):
+class ExecutionPlan(NamedTuple):
     """Plan of a run. The last of `rounds` has no events, so that the state after the one before it is observed.
     `found`: the agents' round after whose events (0: after `init`) the trace's violation must occur; `environment`: it
     must occur after the environment's step that follows."""
 
-    given: Counterexample
-    rounds: tuple[Round, ...]
+    given: CounterexampleTrace
+    rounds: tuple[AgentRound, ...]
     calls: Mapping[int, tuple[Any, ...]]  # calls of callable ports in `init`
     found: int
     environment: bool
 
 
-def document(plan: Plan, program_hash: str) -> dict[str, Any]:
+def document(plan: ExecutionPlan, program_hash: str) -> dict[str, Any]:
     """Return the plan in the format of the sim bundle (targets/sim/follow/plan.py)."""
     given = plan.given
     return {
@@ -98,14 +98,16 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
     return {name: plain(value) for name, value in values.items()}
 
 
-def planned(program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]) -> Plan:
-    """Return the plan of a counterexample. Raises CannotFollow."""
+def planned(
+    program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
+) -> ExecutionPlan:
+    """Return the plan of a counterexample. Raises CannotExecute."""
     return _Planner(program, given, externs).plan()
 
 
 class _Planner:
     def __init__(
-        self, program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]
+        self, program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
     ) -> None:
         self.program, self.given, self.externs = program, given, externs
         self.types = declared(program)
@@ -113,10 +115,10 @@ class _Planner:
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
         self.cleared: set[tuple[int, str]] = set()  # robots, with their sensors that a command has cleared
-        self.rounds: list[Round] = []
+        self.rounds: list[AgentRound] = []
         self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
-    def plan(self) -> Plan:
+    def plan(self) -> ExecutionPlan:
         first, *steps = self.given.steps
         if first.event != BEGINNING:
             raise self.broken(first, f"it begins with {first.event}")
@@ -137,15 +139,15 @@ class _Planner:
         ending, line = self.given.ending, self.given.steps[-1].line
         if ending is not None and ending.event and ending.event != INIT:
             if ending.event not in self.events:
-                raise CannotFollow(f"{self.given.path}: the program has no event {ending.event}")
-            self.rounds.append(Round(last + environment, line, {ending.pid: ending.event}, False, state, {}))
+                raise CannotExecute(f"{self.given.path}: the program has no event {ending.event}")
+            self.rounds.append(AgentRound(last + environment, line, {ending.pid: ending.event}, False, state, {}))
             number, environment = len(self.rounds), False
         free = ending is not None and ending.name == "(deadlock)"
         for _ in range(LATEST if free else 1):
-            self.rounds.append(Round(last + 1, line, {}, free, state, {}))
-        return Plan(self.given, tuple(self.rounds), calls, number, environment)
+            self.rounds.append(AgentRound(last + 1, line, {}, free, state, {}))
+        return ExecutionPlan(self.given, tuple(self.rounds), calls, number, environment)
 
-    def round(self, of: int, group: list[Step], state: State) -> State:
+    def round(self, of: int, group: list[TraceStep], state: State) -> State:
         """Plan one round of the trace. Return the state after it."""
         acts = [step for step in group if step.event != ENVIRONMENT]
         moved = [step for step in group if step.event == ENVIRONMENT]
@@ -160,7 +162,7 @@ class _Planner:
         for block, after in blocks:
             events = {step.pid: step.event for step in block}
             line = block[0].line if block else group[0].line
-            self.rounds.append(Round(of, line, events, False, state, {pid: calls.get(pid, ()) for pid in events}))
+            self.rounds.append(AgentRound(of, line, events, False, state, {pid: calls.get(pid, ()) for pid in events}))
             self.note(self.done(block, state, self.world(calls)) or ())
             state = after
         if moved:
@@ -168,7 +170,7 @@ class _Planner:
             self.compare(moved[0], state)
         return state
 
-    def split(self, acts: list[Step], state: State, world: World) -> list[tuple[list[Step], State]]:
+    def split(self, acts: list[TraceStep], state: State, world: World) -> list[tuple[list[TraceStep], State]]:
         """Return the fewest agents' rounds that lead to the trace's state, each with the state after it."""
         off = ""
         for blocks in self.splits(acts):
@@ -200,7 +202,7 @@ class _Planner:
                 "others have written since; robots begin with a round",
             )  # fmt: skip
         after = self.stepped(acts, state, world)
-        kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
+        kind = CannotExecute if after is None or self.differs(acts[-1], after) else ModelOnly
         raise kind(
             f"{place}: {names}, in this order: no rounds of agents lead to the state in the trace"
             + (f" ({off})" if off else ""),
@@ -208,7 +210,7 @@ class _Planner:
             "that need another order happen in the model only",
         )
 
-    def stepped(self, acts: list[Step], state: State, world: World) -> State | None:
+    def stepped(self, acts: list[TraceStep], state: State, world: World) -> State | None:
         """Return the state after a round of the semantics, in the order of the steps; None if a step has no result."""
         at = state
         for step in acts:
@@ -219,7 +221,7 @@ class _Planner:
             at = applied(self.program, at, done[0])
         return at
 
-    def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
+    def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
         """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first: all in one; the plain
         ones together among the atomic ones, in their order; for few events, every partition."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
@@ -235,7 +237,7 @@ class _Planner:
         if len(acts) <= MOST:
             yield from sorted(_partitions(acts), key=len)
 
-    def done(self, block: list[Step], state: State, world: World, begun: State | None = None) -> list[Done] | None:
+    def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
         """Return the steps of one agents' round, all on the store of its start. None if one of them is impossible, or
         two need one lock. `begun`: the state at the start of the trace's round, if it is not `state`; it decides which
         events have priority."""
@@ -259,7 +261,7 @@ class _Planner:
             found.append(Done(step.pid, event.name, outcome))
         return found
 
-    def begun(self, first: Step) -> State:
+    def begun(self, first: TraceStep) -> State:
         """Return the trace's first state."""
         sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
@@ -281,17 +283,17 @@ class _Planner:
         self.compare(first, state)
         return state
 
-    def sensed(self, step: Step, told: Told, pid: int) -> dict[str, Value]:
+    def sensed(self, step: TraceStep, told: RobotRecord, pid: int) -> dict[str, Value]:
         if set(told.sensors) != self.sensors:
             raise self.broken(step, f"its sensors are {', '.join(told.sensors) or 'none'}")
         known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
         return {**self.values(step, told.sensors), **known}
 
-    def values(self, step: Step, told: Mapping[str, Any]) -> dict[str, Value]:
+    def values(self, step: TraceStep, told: Mapping[str, Any]) -> dict[str, Value]:
         try:
-            return {name: taken(value, self.types[name], nearest) for name, value in told.items()}
+            return {name: from_trace(value, self.types[name], nearest) for name, value in told.items()}
         except BadValue as error:
-            raise CannotFollow(
+            raise CannotExecute(
                 f"{self.given.path}:{step.line}: {error} that robots have, nor near to one", SHORT
             ) from None
         except KeyError as error:
@@ -304,7 +306,7 @@ class _Planner:
             given = [plain(arg) for arg in args]
             for name, asked, said in calls.get(pid, ()):
                 if name == port and self.agree(asked, given):
-                    return taken(said, self.types[port], nearest)
+                    return from_trace(said, self.types[port], nearest)
             raise LookupError(f"no call of {port} in the trace has these arguments")
 
         return World(self.externs, answer)
@@ -320,11 +322,11 @@ class _Planner:
         whatever a counterexample to induction says."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
-    def compare(self, step: Step, state: State) -> None:
+    def compare(self, step: TraceStep, state: State) -> None:
         if difference := self.differs(step, state):
-            raise CannotFollow(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
+            raise CannotExecute(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
 
-    def differs(self, step: Step, state: State) -> str:
+    def differs(self, step: TraceStep, state: State) -> str:
         """Describe a difference between a state and the trace; empty if there is none."""
         for pid, told in enumerate(step.robots):
             robot = state.robots[pid]
@@ -343,12 +345,12 @@ class _Planner:
     def agree(self, told: Any, meant: Any) -> bool:
         return agree(told, meant, bool(self.rounded))
 
-    def broken(self, step: Step, why: str) -> CannotFollow:
-        return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is not a counterexample of this program")
+    def broken(self, step: TraceStep, why: str) -> CannotExecute:
+        return CannotExecute(f"{self.given.path}:{step.line}: {why}", "it is not a counterexample of this program")
 
 
-def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
-    group: list[Step] = []
+def _by_round(steps: list[TraceStep]) -> Iterator[tuple[int, list[TraceStep]]]:
+    group: list[TraceStep] = []
     for step in steps:
         if group and (step.round != group[0].round or group[-1].event == ENVIRONMENT):
             yield group[0].round, group
@@ -358,7 +360,7 @@ def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
         yield group[0].round, group
 
 
-def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
+def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
     found: dict[int, tuple[Any, ...]] = {}
     for step in steps:
         for pid, told in enumerate(step.robots):
@@ -367,7 +369,7 @@ def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
     return found
 
 
-def _partitions(acts: list[Step]) -> Iterator[list[list[Step]]]:
+def _partitions(acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
     """Yield every partition of events into a sequence of rounds."""
     if not acts:
         yield []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.runtime.trace.schema import NO_HEADER, BadTrace, format_of
-from koordgen.verify.replay.trace import Trace, records
+from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
@@ -16,7 +16,7 @@ MOST_ROBOTS = 128  # the limit of koordgen/runtime/net/wire.py, which a test com
 Values = Mapping[str, Any]  # name -> value in JSON
 
 
-class Told(NamedTuple):
+class RobotRecord(NamedTuple):
     """Record of one robot after a step; `calls` of callable ports: port, arguments, answer."""
 
     sensors: Values
@@ -27,7 +27,7 @@ class Told(NamedTuple):
     calls: tuple[tuple[str, list[Any], Any], ...]
 
 
-class Step(NamedTuple):
+class TraceStep(NamedTuple):
     """One step. `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`;
     without such a robot `pid` is -1."""
 
@@ -35,7 +35,7 @@ class Step(NamedTuple):
     round: int
     event: str
     pid: int
-    robots: tuple[Told, ...]
+    robots: tuple[RobotRecord, ...]
 
 
 class Ending(NamedTuple):
@@ -49,7 +49,7 @@ class Ending(NamedTuple):
     event: str = ""
 
 
-class Counterexample(NamedTuple):
+class CounterexampleTrace(NamedTuple):
     """A whole trace. `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ
     from the program's values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from
     which on it cannot be read; 0 if all of it can."""
@@ -61,14 +61,14 @@ class Counterexample(NamedTuple):
     n_sys: int
     params: Values
     given: tuple[str, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[TraceStep, ...]
     ending: Ending | None
     cut: int
 
 
-def read(path: Path) -> Counterexample:
+def read(path: Path) -> CounterexampleTrace:
     """Read as much of a trace as possible. Raises BadTrace."""
-    blank = Trace(path, "", "", (), False, 0)
+    blank = TraceParts(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
@@ -89,14 +89,14 @@ def read(path: Path) -> Counterexample:
     if not steps:
         raise BadTrace(f"{path}: it contains no complete step")
     initial = header["counterexample"] == "run"
-    return Counterexample(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
+    return CounterexampleTrace(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
 
 
 def _steps(
     path: Path, found: Iterator[tuple[int, dict[str, Any]]], n_sys: int
-) -> tuple[tuple[Step, ...], Ending | None, int]:
+) -> tuple[tuple[TraceStep, ...], Ending | None, int]:
     """Return the complete steps, the violation, and the line at which an incomplete step begins (0: none)."""
-    steps: list[Step] = []
+    steps: list[TraceStep] = []
     part: list[dict[str, Any]] = []
     first = 0
     for number, record in found:
@@ -119,7 +119,7 @@ def _steps(
     return tuple(steps), None, first if part else 0
 
 
-def _step(line: int, part: list[dict[str, Any]]) -> Step:
+def _step(line: int, part: list[dict[str, Any]]) -> TraceStep:
     event, round_ = part[0]["step"], part[0]["round"]
     if type(event) is not str or type(round_) is not int or round_ < 0:
         raise ValueError(f"step {event!r} of round {round_!r}")
@@ -129,15 +129,15 @@ def _step(line: int, part: list[dict[str, Any]]) -> Step:
     alone = event not in (BEGINNING, INIT, ENVIRONMENT)
     if alone and len(acting) != 1:
         raise ValueError(f"{event} must be an event of one robot, but {len(acting)} robots act")
-    return Step(line, round_, event, acting[0] if alone else -1, tuple(map(_told, part)))
+    return TraceStep(line, round_, event, acting[0] if alone else -1, tuple(map(_record, part)))
 
 
-def _told(record: dict[str, Any]) -> Told:
+def _record(record: dict[str, Any]) -> RobotRecord:
     sensors, shared, actuators, locals_ = (_table(record[group]) for group in GROUPS)
     calls = tuple([(port, list(args), answer) for port, args, answer in record.get("calls", ())])
     if any(type(port) is not str for port, _, _ in calls):
         raise ValueError("calls")
-    return Told(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
+    return RobotRecord(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
 
 
 def _ending(record: dict[str, Any], n_sys: int) -> Ending:

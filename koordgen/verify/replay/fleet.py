@@ -7,13 +7,13 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
-from koordgen.verify.replay.store import Shown, Writes
-from koordgen.verify.replay.trace import Line, Trace
+from koordgen.verify.replay.store import RecordedWrites, Shown
+from koordgen.verify.replay.trace import TraceLine, TraceParts
 from koordgen.verify.replay.values import plain
 
 
 def replayed(
-    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: Trace, counts: Counts
+    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: TraceParts, counts: Counts
 ) -> Iterator[Difference]:
     """Yield every difference, in the trace's order. Raises BadTrace, Unreplayable."""
     n_sys = len(trace.robots)
@@ -39,7 +39,7 @@ def replayed(
             yield from robot.end(last)
 
 
-def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
+def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
     """Compare a view with `views`, those recorded so far. All records of one view number must agree."""
     try:
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
@@ -55,8 +55,8 @@ class Stores:
     """Shared store of each round, by the writes that all robots recorded: first commits, then plain events by ascending
     pid. From the round on in which a robot died it is unknown, since the robot may have written without a record."""
 
-    def __init__(self, program: decl.Program, n_sys: int, trace: Trace) -> None:
-        self._writes = Writes(program, n_sys)
+    def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
+        self._writes = RecordedWrites(program, n_sys)
         ends = dict.fromkeys(range(n_sys), 0)
         acted = dict.fromkeys(range(n_sys), 0)  # last round in which a robot recorded an event
         until = float("inf")
@@ -71,11 +71,11 @@ class Stores:
             if record.get("event") is not None and not record.get("fault"):
                 acted[line.pid] = round_
             ends[line.pid] = max(ends[line.pid], round_)
-            self._writes.hear(line.pid, record)
+            self._writes.add_record(line.pid, record)
         self._until = min(until, min(ends.values()))
         self._known: dict[int, Shown] = {0: self._writes.after(self._writes.first(), 0)}  # round -> after it
 
-    def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
+    def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """Compare a robot's copy at a round's start with the store after the round before."""
         round_ = int(line.record["round"])
         if round_ - 1 > self._until:

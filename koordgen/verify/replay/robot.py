@@ -16,8 +16,8 @@ from koordgen.lang.semantics.state import Robot, State, Store, World
 from koordgen.lang.semantics.step import Step, execute, has_priority, initial, select
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.replay.store import had_frame
-from koordgen.verify.replay.trace import Line
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.replay.trace import TraceLine
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
 OVERRAN = "not finished by the round's publish deadline"  # a fault that depends on the robot's clock alone
 
@@ -74,7 +74,7 @@ class Replay:
         # Copy of the shared store that the robot saw, by its last record; allread variables by pid.
         self.saw: Mapping[str, Any] | None = None
 
-    def line(self, line: Line) -> Iterator[Difference]:
+    def line(self, line: TraceLine) -> Iterator[Difference]:
         """Yield the differences in one record. Raises Unreplayable."""
         self.saw = None
         record = line.record
@@ -104,7 +104,7 @@ class Replay:
         """Skip missing records: the robot's own variables in the next record are not compared."""
         self._begun, self._streams = False, []
 
-    def _checkpoint(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         """Begin another part. If the part before it was replayed, its own variables must have their last values."""
         self._store = {}
         if self._begun and record["round"] != self._round:
@@ -124,14 +124,14 @@ class Replay:
                 known.update(self._values({name: told[name]} if name in told else {}))
         self._begun = True
 
-    def _init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self._round, self._store, self._begun = 0, {}, True
         if self.followed != "step":
             yield from self._ran_init(line, record)
         self._own = self._values(record["locals"])
         self._actuators = self._values(record["actuators"])
 
-    def _ran_init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _ran_init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         given = {**self._unset(record), **self._values(record["sensors"])}
         state = initial(self.program, self.n_sys, [given if p == self.pid else {} for p in range(self.n_sys)])
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
@@ -147,9 +147,9 @@ class Replay:
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
         """Return actuators that nobody wrote and that hold at a sensor which the program does not declare."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
-        return {name: taken(record["actuators"][name], self._types[name]) for name in hidden}
+        return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
-    def _take_round(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _take_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self.counts.rounds += 1
         restored = record.get("restored")
         if restored is not None:
@@ -179,9 +179,9 @@ class Replay:
         self._actuators |= self._values(record.get("actuators", {}))
         for name, value in record.get("shared", {}).items():
             if name in self._slots:
-                self._store[name][self.pid] = taken(value, self._types[name])
+                self._store[name][self.pid] = from_trace(value, self._types[name])
             else:
-                self._store[name] = taken(value, self._types[name])
+                self._store[name] = from_trace(value, self._types[name])
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
         """Return the event that the robot must have chosen; a Step if its guard has no value."""
@@ -195,7 +195,7 @@ class Replay:
         found = (select(replace(self.program, events=(event,)), state, self.pid, world) for event in tried)
         return next((each for each in found if isinstance(each, Step) is (name is None) and each is not None), None)
 
-    def _event(self, line: Line, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
+    def _event(self, line: TraceLine, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
         if isinstance(done, Discarded):
             yield Difference(
                 line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
@@ -211,7 +211,7 @@ class Replay:
             if plain(value) == told[name]:
                 self._own[name] = value
 
-    def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
+    def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
         """Compare the lines of the loop invariants that were false."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
@@ -219,7 +219,7 @@ class Replay:
             yield Difference(line.number, self._round, self.pid, "the list of false loop invariants", told, meant)
 
     def _fault(
-        self, line: Line, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
+        self, line: TraceLine, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
         record: dict[str, Any],
     ) -> Iterator[Difference]:  # fmt: skip
         """Check that a discarded event has no value. Only the robot's clock decides whether an event was late."""
@@ -236,13 +236,13 @@ class Replay:
         elif event != name or done.span.line != fault.get("line"):
             yield Difference(line.number, self._round, self.pid, f"event {event}", told, f"{name} discarded at {done}")
 
-    def _stream(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _stream(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         told = (str(record["port"]), str(record["text"]))
         meant = self._streams.pop(0) if self._streams else None
         if told != meant:
             yield Difference(line.number, int(record["round"]), self.pid, told[0], told[1], meant and meant[1])
 
-    def _compared(self, line: Line, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
+    def _compared(self, line: TraceLine, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
         for group, values in meant.items():
             told = record.get(group, False if group == "stopped" else {})
             if group == "stopped":
@@ -258,11 +258,11 @@ class Replay:
         for name, value in copy.items():
             if name in self._slots:
                 slots = self._store.setdefault(name, {})
-                slots.update({int(pid): taken(own, self._types[name]) for pid, own in value.items()})
+                slots.update({int(pid): from_trace(own, self._types[name]) for pid, own in value.items()})
             else:
-                self._store[name] = taken(value, self._types[name])
+                self._store[name] = from_trace(value, self._types[name])
 
-    def _state(self, line: Line, record: dict[str, Any]) -> State:
+    def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
         """Return the state that this robot saw. Other robots' own variables are unknown, and no event reads them."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
@@ -284,10 +284,10 @@ class Replay:
                 if name == port and asked == given:
                     if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
                         del calls[k]  # the next equal call may have another answer
-                    return taken(found, self._types[port])
+                    return from_trace(found, self._types[port])
             raise LookupError(f"no recorded call of {port} has these arguments")
 
         return World(self.externs, answer)
 
     def _values(self, told: Mapping[str, Any]) -> dict[str, Value]:
-        return {name: taken(value, self._types[name]) for name, value in told.items()}
+        return {name: from_trace(value, self._types[name]) for name, value in told.items()}

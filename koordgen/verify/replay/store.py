@@ -13,7 +13,7 @@ from koordgen.verify.replay.values import plain
 Shown = Mapping[str, Any]  # a store in JSON; an allread variable is a list by pid
 
 
-class Writes:
+class RecordedWrites:
     """Recorded writes of each round. They are applied as agents do: first commits, then plain events by ascending
     pid."""
 
@@ -23,7 +23,7 @@ class Writes:
         self._told: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
         self._initial = initial(program, n_sys).store
 
-    def hear(self, pid: int, record: Mapping[str, Any]) -> None:
+    def add_record(self, pid: int, record: Mapping[str, Any]) -> None:
         """Add the writes in a robot's record of `init` or of a round."""
         if record.get("shared"):
             plain_event = not self._locks.get(record.get("event") or "", False)

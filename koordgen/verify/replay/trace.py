@@ -20,7 +20,7 @@ LONGEST = 8 << 20  # largest header in bytes
 KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
-class Line(NamedTuple):
+class TraceLine(NamedTuple):
     """One record with its line number, from 1. In a trace of several parts the numbers continue through the parts."""
 
     number: int
@@ -29,7 +29,7 @@ class Line(NamedTuple):
 
 
 @dataclass
-class Trace:
+class TraceParts:
     """One trace. `robots`: the fleet's names by pid; empty for robots whose names the header lacks. `own`: it belongs
     to the robot `pid` alone. `followed`: "run" or "step" if the run executed a counterexample, else "". `older`: the
     parts before the one at `path`, oldest first. `lines` reads the records. `cut`: line within which a file ends; 0 if
@@ -52,7 +52,7 @@ class Trace:
         before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
         return f"{path}:{number - before}"
 
-    def lines(self) -> Iterator[Line]:
+    def lines(self) -> Iterator[TraceLine]:
         """Yield the records that a replay needs, in their order. Raises BadTrace."""
         last: dict[int, int] = {}  # pid -> last recorded round
         for number, record, data in records(self):
@@ -71,13 +71,13 @@ class Trace:
                 raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
             if record["kind"] in ("init", "round"):
                 last[pid] = record.get("round", 0)
-            yield Line(number, pid, record)
+            yield TraceLine(number, pid, record)
 
 
-def opened(path: Path) -> Trace:
+def opened(path: Path) -> TraceParts:
     """Open the trace at `path`, with the parts before it. Raises BadTrace."""
     *older, path = parts_of(path)
-    blank = Trace(path, "", "", (), False, 0)
+    blank = TraceParts(path, "", "", (), False, 0)
     number, header, line = next(records(blank), (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -90,12 +90,12 @@ def opened(path: Path) -> Trace:
             names = tuple(str(robot["name"]) for robot in header["robots"])
             if not 1 <= len(names) <= MOST_ROBOTS:
                 raise ValueError(f"{len(names)} robots")
-            return Trace(path, app, program_hash, names, False, 0, followed=followed)
+            return TraceParts(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
             raise ValueError(f"pid {pid} of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
-        return Trace(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
+        return TraceParts(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
@@ -147,7 +147,7 @@ def _is_unwritten(path: Path) -> bool:
         return not file.readline(LONGEST).endswith(b"\n")
 
 
-def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any], bytes]]:
+def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
     """Yield each record with the number of its line, and the line, in the present format. Raises BadTrace."""
     trace.begins, number = [], 0
     for path in (*trace.older, trace.path):

@@ -10,7 +10,7 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Followed, Judge
+from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, ReplayedTrial, TrialJudge
 from koordgen.verify.prove.smt import term
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.verify.attack.faults import FAULTS, attacked, broken, ticks
@@ -295,7 +295,7 @@ def test_states_of_models_keep_first_values_of_what_no_model_tells(solver: Solve
 
 
 def test_what_the_semantics_does_not_repeat_is_an_error_of_the_attack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Judge, "follow", lambda judge, trial: Followed((trial.state,), None))
+    monkeypatch.setattr(TrialJudge, "replay", lambda judge, trial: ReplayedTrial((trial.state,), None))
     with pytest.raises(InternalError, match="the second run shows no contradiction"):
         attacked(FAULTS["a value written before a loop"])
 

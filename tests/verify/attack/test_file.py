@@ -14,7 +14,7 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
-from koordgen.verify.attack.judge import Contradiction, Judge, Refused, Trial, Unusable
+from koordgen.verify.attack.judge import Contradiction, Trial, TrialJudge, TrialNotCovered, UnusableStep
 from tests.verify.attack.faults import every_name, ticks
 from tests.verify.prove.told import checked
 
@@ -67,7 +67,7 @@ def made() -> tuple[Program, Contradiction, str]:
     found = attack(program, every_name(program), robots=2, clock=ticks()).contradiction
     assert found is not None
     state, acts = found.trial
-    begun = Judge(exact(program), [], lambda *_: ()).follow(Trial(state, acts[:1])).states[1]
+    begun = TrialJudge(exact(program), [], lambda *_: ()).replay(Trial(state, acts[:1])).states[1]
     found = found._replace(trial=Trial(begun, acts[1:]))
     return exact(program), found, written(found, ["Q", "(well-defined)"], HASH, "app.koord")
 
@@ -85,7 +85,7 @@ def test_a_contradiction_is_read_as_it_was_written_and_contradicts_again() -> No
     given = read(TEXT.encode(), PROGRAM, HASH)
     assert given.trial == FOUND.trial
     assert (given.invariant, given.proved) == ("Q", ("(well-defined)", "Q"))
-    again = Judge(PROGRAM, given.proved, lambda *_: ()).follow(given.trial).contradiction
+    again = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
     assert again is not None and again.breach == FOUND.breach and again.after == FOUND.after
     assert again.after.robots[0].ports != {} and again.trial.acts[-1].answers, "the planner's answer stands in the file"
 
@@ -164,8 +164,8 @@ def followed(data: bytes) -> str:
     """What comes of a file, whatever it is."""
     try:
         given = read(data, PROGRAM, HASH)
-        found = Judge(PROGRAM, given.proved, lambda *_: ()).follow(given.trial).contradiction
-    except (BadFile, Refused, Unusable) as error:
+        found = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
+    except (BadFile, TrialNotCovered, UnusableStep) as error:
         return type(error).__name__
     return "contradiction" if found is not None else "none"
 
@@ -181,7 +181,9 @@ def test_no_byte_that_is_changed_ends_in_anything_but_an_answer() -> None:
     for _ in range(600):
         place = random.randrange(len(data))
         said.add(followed(data[:place] + bytes([random.choice(b'019-/"[]{},:aQ\x00\xff')]) + data[place + 1 :]))
-    assert {"BadFile", "contradiction"} <= said <= {"BadFile", "Refused", "Unusable", "contradiction", "none"}
+    assert (
+        {"BadFile", "contradiction"} <= said <= {"BadFile", "TrialNotCovered", "UnusableStep", "contradiction", "none"}
+    )
 
 
 def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
@@ -189,5 +191,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read(TEXT.encode(), program, HASH)
-    with pytest.raises(Unusable, match=r"no known answer of Motion\.planner"):
-        Judge(program, given.proved, lambda *_: ()).follow(given.trial)
+    with pytest.raises(UnusableStep, match=r"no known answer of Motion\.planner"):
+        TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)

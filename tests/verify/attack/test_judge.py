@@ -9,7 +9,17 @@ import pytest
 from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, run_init
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Act, Followed, Judge, Refused, Trial, Unusable
+from koordgen.verify.attack.judge import (
+    ENVIRONMENT,
+    INIT,
+    WELL_DEFINED,
+    Act,
+    ReplayedTrial,
+    Trial,
+    TrialJudge,
+    TrialNotCovered,
+    UnusableStep,
+)
 from koordgen.verify.prove.report.model import exact_state
 from tests.verify.attack.faults import attacked, broken
 from tests.verify.prove.told import checked
@@ -128,8 +138,8 @@ invariant Q: forall i in ID: a[i] >= 1
 """
 
 
-def judge() -> Judge:
-    return Judge(exact(checked(COUNTER)), ["Q"], lambda *_: ())
+def judge() -> TrialJudge:
+    return TrialJudge(exact(checked(COUNTER)), ["Q"], lambda *_: ())
 
 
 def begun(a: int = 1, level: int = 0) -> State:
@@ -149,8 +159,8 @@ def moved(level: int) -> Act:
     return Act(ENVIRONMENT, None, ({"Dev.level": level},))
 
 
-def followed(state: State, *acts: Act) -> Followed:
-    return judge().follow(Trial(state, acts))
+def followed(state: State, *acts: Act) -> ReplayedTrial:
+    return judge().replay(Trial(state, acts))
 
 
 def test_a_trial_is_run_step_by_step() -> None:
@@ -178,17 +188,17 @@ def test_a_trial_is_run_step_by_step() -> None:
     ],
 )
 def test_a_trial_that_no_verdict_speaks_of_is_refused(state: State, acts: list[Act], said: str) -> None:
-    with pytest.raises(Refused, match=said.replace("(", r"\(")):
+    with pytest.raises(TrialNotCovered, match=said.replace("(", r"\(")):
         followed(state, *acts)
 
 
 def test_a_move_that_the_assumptions_do_not_allow_shows_nothing() -> None:
-    with pytest.raises(Unusable, match="do not allow"):
+    with pytest.raises(UnusableStep, match="do not allow"):
         followed(begun(1, level=5), moved(4))
 
 
 def test_a_stopped_robot_runs_nothing() -> None:
     state = begun(1)
     stopped: Any = state.robots[0]._replace(stopped=True)
-    with pytest.raises(Refused, match="may not run"):
+    with pytest.raises(TrialNotCovered, match="may not run"):
         followed(state._replace(robots=(stopped,)), Act("Up", 0))

@@ -50,13 +50,13 @@ class Process:
         self.times: list[tuple[int, float]] = []
 
     def send(self, text: str) -> None:
-        """Queue text, write as much as the pipe accepts, and read pending output. Raises Ended."""
+        """Queue text, write as much as the pipe accepts, and read pending output. Raises ProcessEnded."""
         self.unsent += text.encode()
         while self.unsent and self.exchange(0.0):
             pass
 
     def exchange(self, wait: float) -> bool:
-        """Write or read within `wait` seconds. Return whether there was anything to do. Raises Ended."""
+        """Write or read within `wait` seconds. Return whether there was anything to do. Raises ProcessEnded."""
         ready = select.select([self.source], [self.sink] if self.unsent else [], [], wait)
         if ready[1]:
             try:

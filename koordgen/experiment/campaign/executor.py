@@ -12,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from koordgen.experiment.campaign.store import Result, cleared
+from koordgen.experiment.campaign.store import RunResult, cleared
 from koordgen.experiment.campaign.task import Job, execute
 
 REACHED_WITHIN = 10  # seconds until a cluster must answer
 
 
-class Unreachable(Exception):
+class ClusterUnreachable(Exception):
     """There is no such cluster, or its connection is lost; `help` names a remedy."""
 
     def __init__(self, message: str, help: str) -> None:
@@ -26,20 +26,20 @@ class Unreachable(Exception):
         self.help = help
 
 
-class Crew(Protocol):
+class Executor(Protocol):
     """Executor of jobs. `width`: number of jobs to submit at a time; `stop` ends running jobs as far as possible."""
 
     @property
     def width(self) -> int: ...
 
-    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[Result]: ...
+    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[RunResult]: ...
 
     def stop(self) -> None: ...
 
     def close(self) -> None: ...
 
 
-class Local:
+class LocalPool:
     """Pool of threads in this process. Each thread waits for one run's process at a time."""
 
     def __init__(self, jobs: int) -> None:
@@ -47,10 +47,10 @@ class Local:
         self._pool = ThreadPoolExecutor(jobs)
         self._stopping = threading.Event()
 
-    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[Result]:
+    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[RunResult]:
         return self._pool.submit(self._run, job, bundle, folder)
 
-    def _run(self, job: Job, bundle: Path, folder: Path) -> Result:
+    def _run(self, job: Job, bundle: Path, folder: Path) -> RunResult:
         return execute(job, bundle, cleared(folder), self._stopping.is_set)
 
     def stop(self) -> None:
@@ -61,7 +61,7 @@ class Local:
         self.stop()
 
 
-class Cluster:
+class DaskCluster:
     """Dask cluster. Its workers need this koordgen and the packages of its simulator. Bundles and run folders are sent
     over the cluster's own connections, so no shared disk is needed."""
 
@@ -72,12 +72,14 @@ class Cluster:
             from koordgen.runtime.ops.host import pip_install
 
             way = pip_install("'koordgen[cluster]'")
-            raise Unreachable(f"--cluster needs the package {error.name}", way) from None
+            raise ClusterUnreachable(f"--cluster needs the package {error.name}", way) from None
         try:
             self._client = Client(address, timeout=REACHED_WITHIN, set_as_default=False)
         except (OSError, ValueError) as error:
             way = "start one with `dask scheduler` and `dask worker`, and name the scheduler, as tcp://HOST:8786"
-            raise Unreachable(f"no Dask scheduler answers at {address}: {str(error) or 'timeout'}", way) from None
+            raise ClusterUnreachable(
+                f"no Dask scheduler answers at {address}: {str(error) or 'timeout'}", way
+            ) from None
         self._executor: Any = self._client.get_executor(pure=False)
         self._sent: tuple[Path, Any] | None = None
 
@@ -87,16 +89,16 @@ class Cluster:
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 
-    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[Result]:
+    def submit(self, job: Job, bundle: Path, folder: Path) -> Future[RunResult]:
         if self._client.status != "running":
-            raise Unreachable("the connection to the Dask scheduler is lost", "start it again, and resume")
+            raise ClusterUnreachable("the connection to the Dask scheduler is lost", "start it again, and resume")
         if self._sent is None or self._sent[0] != bundle:
             self._sent = bundle, self._client.scatter(packed(bundle), hash=False)
         text = Path(job.verdict).read_text(encoding="utf-8") if job.verdict else ""
-        task: Future[tuple[Result, bytes]] = self._executor.submit(remote, job, self._sent[1], text)
-        done: Future[Result] = Future()
+        task: Future[tuple[RunResult, bytes]] = self._executor.submit(remote, job, self._sent[1], text)
+        done: Future[RunResult] = Future()
 
-        def arrived(finished: Future[tuple[Result, bytes]]) -> None:
+        def arrived(finished: Future[tuple[RunResult, bytes]]) -> None:
             try:
                 result, files = finished.result()
                 unpacked(files, cleared(folder))
@@ -118,7 +120,7 @@ class Cluster:
             self._client.close()
 
 
-def remote(job: Job, bundle: bytes, verdict: str) -> tuple[Result, bytes]:
+def remote(job: Job, bundle: bytes, verdict: str) -> tuple[RunResult, bytes]:
     """Execute a job on a worker. Return its result and all files of the run's folder."""
     with tempfile.TemporaryDirectory(prefix="koordgen-") as own:
         root = Path(own)
