@@ -2,7 +2,7 @@
 
 1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
    Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
-   a variable counts as unread until an event reads it (`Unread`, raised while the event runs). It is then kept, and the
+   a variable counts as unread until an event reads it (`VariableRead`, raised while the event runs). It is then kept, and the
    search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand in no
    `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on all
    values that the variable can have, to find faults and to see whether they are ever enabled. What other events write
@@ -29,7 +29,7 @@ from koordgen.verify.explore.machine import Interned, Machine, Packed, PrivateSt
 MAX_TRIED = 10_000  # most values of one variable that are tried
 
 
-class Unread(BaseException):
+class VariableRead(BaseException):
     """A variable that counted as unread is read. A BaseException, since Exceptions in generated code are faults."""
 
     def __init__(self, name: str) -> None:
@@ -68,7 +68,7 @@ class _OwnSlots(rt.Slots[Any]):
 
 @cache
 def unread_cell(name: str) -> type[rt.Cell[Any]]:
-    """Return a class of cells that raise Unread if they are read before they are written."""
+    """Return a class of cells that raise VariableRead if they are read before they are written."""
 
     class Watched(rt.Cell[Any]):
         __slots__ = ()
@@ -76,7 +76,7 @@ def unread_cell(name: str) -> type[rt.Cell[Any]]:
         @rt.Cell.value.getter  # type: ignore[attr-defined,untyped-decorator]
         def value(self) -> Any:
             if not self.line:
-                raise Unread(name)
+                raise VariableRead(name)
             return super().value
 
     return Watched
@@ -170,7 +170,7 @@ class StateReduction:
                     continue
                 self._tried.add(key)
                 if len(self._tried) > MAX_TRIED:
-                    raise Unread(name)
+                    raise VariableRead(name)
                 frame = machine.frame(pid, robot._replace(locals={**robot.locals, name: value}), seen)
                 for index in [index for index, turning in self._turning.items() if turning == name]:
                     event = code.events[index]
@@ -178,9 +178,9 @@ class StateReduction:
                         ready = rt.enabled(event, code.begin(frame))
                         done = rt.run(code, event.effect, code.begin(frame)) if ready else None
                     except Exception:  # a fault of the guard: the search reports it
-                        raise Unread(name) from None
+                        raise VariableRead(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
-                        raise Unread(name)
+                        raise VariableRead(name)
                     if done is not None:
                         machine.enabled.add(index)
                         pending.append(done.locals[name])
@@ -199,7 +199,7 @@ class StateReduction:
                 if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
                     continue  # now and for ever: the event that has priority does nothing but stop
                 done = rt.run(code, event.effect, self._alone(frame))
-            except (Exception, Unread, _Others):
+            except (Exception, VariableRead, _Others):
                 return False
             if not isinstance(done, rt.Effects) or done.violated or not done.stopped or done.shared or done.actuators:
                 return False

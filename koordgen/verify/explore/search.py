@@ -15,7 +15,7 @@ from koordgen.lang.semantics.step import initial
 from koordgen.verify.explore.environment import EnvironmentSteps
 from koordgen.verify.explore.invariants import Invariants
 from koordgen.verify.explore.machine import DiscardedEvent, Machine, Packed, RobotStep
-from koordgen.verify.explore.reduction import StateReduction, Unread
+from koordgen.verify.explore.reduction import StateReduction, VariableRead
 from koordgen.verify.explore.rounds import Node, Predecessor, RoundExplorer, steps_to
 from koordgen.verify.explore.symmetry import asymmetry, sorted_robots
 from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
@@ -143,7 +143,7 @@ class Search:
         while True:
             try:
                 return self._explored()
-            except Unread as read:
+            except VariableRead as read:
                 assert self.forgetting is not None
                 self.forgetting.keep(read.name)
             except _Restart:

@@ -80,7 +80,7 @@ class EncodingTooLarge(Exception):
 
 
 def step() -> None:
-    """Count one step of the encoding. Raises TooLarge."""
+    """Count one step of the encoding. Raises EncodingTooLarge."""
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
