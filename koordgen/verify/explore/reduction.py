@@ -2,8 +2,8 @@
 
 1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
    Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
-   a variable counts as unread until an event reads it (`VariableRead`, raised while the event runs). It is then kept, and the
-   search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand in no
+   a variable counts as unread until an event reads it (`VariableRead`, raised while the event runs). It is then kept,
+   and the search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand in no
    `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on all
    values that the variable can have, to find faults and to see whether they are ever enabled. What other events write
    to the variable depends on no removed value, so each such value occurs in some robot that the search meets.
