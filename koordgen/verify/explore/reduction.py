@@ -3,10 +3,10 @@
 1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
    Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
    a variable counts as unread until an event reads it (`VariableRead`, raised while the event runs). It is then kept,
-   and the search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand in no
-   `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on all
-   values that the variable can have, to find faults and to see whether they are ever enabled. What other events write
-   to the variable depends on no removed value, so each such value occurs in some robot that the search meets.
+   and the search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand
+   in no `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on
+   all values that the variable can have, to find faults and to see whether they are ever enabled. What other events
+   write to the variable depends on no removed value, so each such value occurs in some robot that the search meets.
 2. A robot that can do nothing but stop. Judged by its locals and its own slots alone, which nobody else writes, each of
    its events has a false guard or does nothing but `stop`, now and for ever. A robot that has stopped represents it:
    each step of either is matched by a skip of the other. For both, all locals that no invariant names are removed.
