@@ -1,4 +1,4 @@
-"""A bundle in place of a simulator: does at once what its options say, and leaves what a run leaves."""
+"""Fake bundle that replaces a simulator: it does at once what its options say, and writes a run's files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A campaign of fake bundles: its folder, its table and its status; what ends it in the middle; going on with it."""
+"""Campaign of fake bundles: folder, table and status; interruptions; resuming."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same runs by a Dask cluster: two workers, processes of this host."""
+"""A campaign on a Dask cluster of two local workers gives the same results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of a campaign, the interval of its failure rate, and what people and spreadsheets are told."""
+"""Table of a campaign: statistics, the interval of its failure rate, text and CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is varied is read as it is meant, covers what it should, and cells are compared in pairs."""
+"""`--vary`: parsing, even coverage of ranges, and cells that are compared in pairs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bundle in place of a simulator that leaves windows: what its seed says comes of the run."""
+"""Fake bundle that replaces a simulator and writes windows: the seed determines the outcome of a run."""
 
 from __future__ import annotations
 

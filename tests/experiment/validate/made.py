@@ -1,4 +1,4 @@
-"""Runs' windows as a simulator writes them, made by hand."""
+"""Hand-made windows of runs, as a simulator writes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In which way a body left its box, told by the geometry of one window."""
+"""Kinds of breaches, from the geometry of one window."""
 
 from __future__ import annotations
 

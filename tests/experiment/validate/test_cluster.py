@@ -1,4 +1,4 @@
-"""The same samples by a Dask cluster: two workers, processes of this host."""
+"""A validation on a Dask cluster of two local workers gives the same samples."""
 
 from __future__ import annotations
 

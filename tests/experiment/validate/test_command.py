@@ -1,4 +1,4 @@
-"""`koordgen validate` over fake bundles: statuses, what is told, going on, what is wrong with a call."""
+"""`koordgen validate` over fake bundles: statuses, output, continuation, bad options."""
 
 from __future__ import annotations
 

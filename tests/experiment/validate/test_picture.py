@@ -1,4 +1,4 @@
-"""The picture: a row for each platform, every window that was outside; none where nothing moved."""
+"""Picture: a row for each platform, with every window outside of the box; none if nothing moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Probes, what reachsets are as JSON, how large they are, pictures; and one whole reachset of simple robots."""
+"""Probes; reachsets as JSON, sizes and pictures; and one whole reachset of simple robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds and intervals against values that others have worked out."""
+"""Bounds and intervals compared with published values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What could be assumed instead, with margins of made samples, and what the prover makes of it."""
+"""Suggested assumptions: margins of hand-made samples, and the prover's verdicts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From windows to verdicts: who is VALIDATED, who VIOLATED, and of what nothing can be said."""
+"""Verdicts from windows: VALIDATED, VIOLATED, and INCONCLUSIVE."""
 
 from __future__ import annotations
 

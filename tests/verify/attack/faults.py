@@ -1,4 +1,4 @@
-"""Programs whose invariants a wrong prover once called PROVED, or would; and a clock that counts work, not seconds."""
+"""Programs on which a wrong prover said, or would say, PROVED; and a clock that counts work instead of seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The attack: what it finds within its budget, what it never says of right programs, what it counts."""
+"""Attack: contradictions found within its budget, no false alarm on correct programs, counts of states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file of a contradiction: it is read as it was written, and nothing else is read at all."""
+"""File of a contradiction: it is read as it was written, and anything else is rejected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge: which faults contradict `(well-defined)`, and what it refuses to follow."""
+"""Judge of attacks: faults that contradict `(well-defined)`, and trials that it rejects."""
 
 from __future__ import annotations
 

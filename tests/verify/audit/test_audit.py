@@ -1,4 +1,4 @@
-"""`koordgen audit`: a whole fleet's verdicts by its robots' traces, what is not known, what a proof rests on."""
+"""`koordgen audit`: verdicts on a whole fleet by its robots' traces, unknown values, assumptions of proofs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Traces that are cut, broken, of something else or not there."""
+"""Traces that are cut off, broken, missing, or of another program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Audit and replay of traces in parts: of the rounds that are kept they say what they say of the whole trace."""
+"""Audit and replay of traces in parts: for the rounds that are kept, the same result as for the whole trace."""
 
 from __future__ import annotations
 

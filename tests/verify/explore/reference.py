@@ -1,4 +1,4 @@
-"""What the executable semantics says of the programs that are explored, and searches of them."""
+"""Reference explorer by the executable semantics, and searches with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exploration against the executable semantics, state by state, and its reductions against the plain search."""
+"""Exploration compared with the executable semantics, state by state, and reductions with the plain search."""
 
 from __future__ import annotations
 

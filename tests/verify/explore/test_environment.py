@@ -1,4 +1,4 @@
-"""What a file says of an environment, and what follows from it."""
+"""Environment files, and the states that follow from them."""
 
 from __future__ import annotations
 

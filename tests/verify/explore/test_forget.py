@@ -1,4 +1,4 @@
-"""What is forgotten because nobody reads it, and what must not be."""
+"""State-space reduction: variables that may be removed because nobody reads them, and those that may not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes wrong in an example with a mistake is found, by a run of as few rounds as there can be."""
+"""Mistakes in examples are found, by a run with the fewest possible rounds."""
 
 from __future__ import annotations
 

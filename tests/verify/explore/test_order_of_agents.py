@@ -1,4 +1,4 @@
-"""Which runs agents can do: the test that explore and prove share, and the search among runs of agents alone."""
+"""Runs that agents can execute: the test shared by explore and prove, and the search among such runs."""
 
 from __future__ import annotations
 

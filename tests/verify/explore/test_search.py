@@ -1,4 +1,4 @@
-"""What a search finds, how far it goes, and what it says of it."""
+"""Search: violations found, limits reached, and texts of results."""
 
 from __future__ import annotations
 

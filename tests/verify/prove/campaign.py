@@ -1,4 +1,4 @@
-"""Many random programs: is anything PROVED that a run breaks, does anything end with an internal error?
+"""Campaign of random programs: searches PROVED invariants that a run breaks, and internal errors.
 
     python -m tests.verify.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
 

@@ -1,4 +1,4 @@
-"""Obligations by hand: small ones whose answers are known."""
+"""Small hand-made obligations with known answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counterexamples are runs of the semantics, and solvers agree. That what is proved holds: test_random.py."""
+"""Counterexamples are runs of the semantics, and solvers agree. test_random.py checks that PROVED invariants hold."""
 
 from __future__ import annotations
 

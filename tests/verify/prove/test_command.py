@@ -1,4 +1,4 @@
-"""`koordgen prove`: exit statuses, what is printed, what is written, and what is said of bad input."""
+"""`koordgen prove`: exit statuses, output, files, and messages about bad input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every obligation is made: as many as a count from the IR alone says, and of the same names."""
+"""Every obligation is generated: number and names agree with a count from the IR alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the prover knows of loops: invariants that stand at them, invariants that are tried there, facts about turns."""
+"""Loops in proofs: stated invariants, candidate invariants, facts about turns."""
 
 from __future__ import annotations
 

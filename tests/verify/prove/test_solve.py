@@ -1,4 +1,4 @@
-"""Solvers are believed only as far as they may be: whatever they do but answer is UNKNOWN, with its reason."""
+"""Solvers are not trusted: anything but one answer is UNKNOWN, with its reason."""
 
 from __future__ import annotations
 

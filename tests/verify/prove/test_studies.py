@@ -1,4 +1,4 @@
-"""The case studies are proved, for any number of robots and for three; what is weaker is not."""
+"""The case studies are proved, for any number of robots and for three; weaker versions of them are not."""
 
 from __future__ import annotations
 

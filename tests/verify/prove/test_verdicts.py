@@ -1,4 +1,4 @@
-"""Verdicts on programs whose truth is known; every counterexample and every run is what the semantics made of it."""
+"""Verdicts on programs with known truth. The semantics reproduces every counterexample and every run."""
 
 from __future__ import annotations
 

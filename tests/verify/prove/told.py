@@ -1,4 +1,4 @@
-"""What the generator's obligations come to: which invariants are proved, and whether the assumptions are consistent."""
+"""Proofs straight from the generator: the proved invariants, and consistency of the assumptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each construct in a small program: what is provable is proved, and nothing else; also for three robots."""
+"""Each construct in a small program: exactly the provable invariants are proved; also for three robots."""
 
 from __future__ import annotations
 

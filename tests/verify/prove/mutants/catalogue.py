@@ -1,4 +1,4 @@
-"""The mutants of the prover, by the rule of docs/semantics.md, "Verification conditions", that each breaks."""
+"""Mutants of the prover, by the rule of docs/semantics.md, "Verification conditions", that each breaks."""
 
 from __future__ import annotations
 

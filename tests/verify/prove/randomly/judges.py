@@ -1,4 +1,4 @@
-"""Judges of the prover: what it says PROVED of is held against an exploration, random runs and the attack.
+"""Judges of the prover: PROVED invariants are checked by exploration, random runs and the attack.
 
 The exploration is `koordgen explore`'s, on the code that robots run, for 1, 2 and 3 robots. The random runs are made by
 the executable semantics, in random orders. Both take sensor values from small pools, as far as the program's
