@@ -144,7 +144,9 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
 
 
 def _fitting(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
-    """Check that the named things may vary, and that the manifest allows the values of settings. Raises BadVary."""
+    """Check that the named things may vary, and that the manifest allows the values of settings.
+
+    Raises BadVary."""
     for name in OWN.intersection(runs[0].flags):
         raise vary.BadVary(f"{name}: each run has its own")
     for name, value in dict.fromkeys(item for run in runs for item in _settings(run, harness).items()):
@@ -153,7 +155,9 @@ def _fitting(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
 
 
 def _settings(run: plan.PlannedRun, harness: Target) -> dict[str, Any]:
-    """Return the harness' settings of a run; a value becomes a number or bool unless the setting is a text."""
+    """Return the harness' settings of a run.
+
+    A value becomes a number or bool unless the setting is a text."""
     found: dict[str, Any] = dict(run.settings)
     for name, text in run.settings.items():
         if harness.settings[name].type != "string":
@@ -164,14 +168,15 @@ def _settings(run: plan.PlannedRun, harness: Target) -> dict[str, Any]:
 
 
 def _scenarios(runs: Sequence[plan.PlannedRun], bundle: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the contents of the varied scenario files as JSON, by path, since workers lack these files. Raises
-    Rejected, with line and column."""
+    """Return the contents of the varied scenario files as JSON, by path, since workers lack these files.
+
+    Raises Rejected, with line and column."""
     paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
     return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
 def _telling(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
-    """Return the runs in which each value of a list occurs once, and the last run, for the ends of ranges and seeds."""
+    """Return the runs in which each value of a list occurs once, and the last run."""
     seen: set[tuple[str, str]] = set()
     found = []
     for run in runs[: len(cells)]:
@@ -228,7 +233,9 @@ def _ended(
     line: Line,
     again: str = "--resume",
 ) -> BaseException | None:
-    """Execute the runs. Return why they ended early, or None. Finished runs are stored; `again` continues with them."""
+    """Execute the runs.
+
+    Return why they ended early, or None. Finished runs are stored; `again` continues with them."""
     resumable = ("{} of {} runs are finished; " + f"{again} goes on from there").format
     try:
         with _noticed_signals() as noticed:
@@ -258,7 +265,7 @@ def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harn
 
 @contextmanager
 def _noticed_signals() -> Iterator[list[int]]:
-    """Record SIGINT, SIGTERM and SIGHUP instead of dying, so that the campaign ends where it can be resumed."""
+    """Record SIGINT, SIGTERM and SIGHUP, so that the campaign ends where it can be resumed."""
     noticed: list[int] = []
     watched = [s for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) != signal.SIG_IGN]
     before = {each: signal.signal(each, lambda number, _: noticed.append(number)) for each in watched}

@@ -1,4 +1,4 @@
-"""`koordgen sim --follow TRACE`: checks that trace, program and fleet fit together, before anything runs."""
+"""`koordgen sim --follow TRACE`: checks that trace, program and fleet fit together."""
 
 from __future__ import annotations
 

@@ -76,7 +76,9 @@ def _harness(options: Namespace) -> int:
 
 
 def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> None:
-    """Print the run's results as JSON; nothing for a run without a summary, whose error was already reported."""
+    """Print the run's results as JSON.
+
+    Nothing for a run without a summary, whose error was already reported."""
     summary = out / "summary.json"
     try:
         if summary.stat().st_mtime < began:
@@ -126,7 +128,9 @@ def _run(command: list[str], options: Namespace) -> int:
 
 
 def read_scenario(path: str, bundle: Mapping[str, bytes], duration: float | None) -> Any:
-    """Return the scenario file in the bundle's form, for a run of `duration` or the default length. Raises Rejected."""
+    """Return the scenario file in the bundle's form, for a run of `duration` or the default length.
+
+    Raises Rejected."""
     from koordgen.build.pipeline import Rejected, read_source
     from koordgen.fleet.scenario import read
     from koordgen.lang.diagnostics import Diagnostic

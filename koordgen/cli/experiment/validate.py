@@ -96,8 +96,10 @@ def _sampled(
     out: Path,
     line: Line,
 ) -> tuple[store.CampaignStore, BaseException | None]:
-    """Return the runs, including those that an earlier call finished, and what ended them early. Further samples of the
-    same program and fleet continue with existing ones, since a sample is identified by its seed alone."""
+    """Return the runs, including those that an earlier call finished, and what ended them early.
+
+    Further samples of the same program and fleet continue with existing ones, since a sample is identified by its seed
+    alone."""
     fixed = [f"--duration={options.seconds:g}", *FLAGS]
     seeds = [str(options.seed + k) for k in range(count)]
     runs = [PlannedRun(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
@@ -199,8 +201,9 @@ FOLDER, RUNS = "reachsets", "probes"
 
 
 def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
-    """Return the files and the comparisons of the platforms for JSON; `text` is for people. Each call computes them
-    again. Raises OSError, ClusterUnreachable."""
+    """Return the files and the comparisons of the platforms for JSON; `text` is for people.
+
+    Each call computes them again. Raises OSError, ClusterUnreachable."""
     folder = out / FOLDER
     asked = ReachsetRequest(options.offset, options.epsilon, options.gamma, options.seed)
     show: Callable[[str], None] = (lambda _: None) if options.quiet else (lambda text: line.show(f"reachsets: {text}"))

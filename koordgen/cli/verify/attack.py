@@ -1,4 +1,4 @@
-"""`koordgen prove`: the attack on verdicts before they are printed, and `--attack-from`, which repeats one."""
+"""`koordgen prove`: the attack on verdicts, and `--attack-from`, which repeats one."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ def attacked(
     solver: Solver | CrossCheck,
     options: Namespace,
 ) -> list[Attacks]:
-    """Attack the verdicts for each number of robots, for `--attack` seconds in all. Return the numbers of states by
-    obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is written to a file."""
+    """Attack the verdicts for each number of robots, for `--attack` seconds in all.
+
+    Return the numbers of states by obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is
+    written to a file."""
     left, made = options.attack, []
     for place, verdicts in enumerate(found):
         share = max(left / (len(found) - place), LEAST) if options.attack else 0.0

@@ -64,8 +64,9 @@ def audit(options: Namespace) -> int:
 def _judged(
     program: Program, functions: Path | None, whole: FleetMission, seconds: float | None
 ) -> tuple[list[PropertyResult], str]:
-    """Return the results, and why they do not cover the whole mission; empty if they do. Of the last round that was
-    begun only a violation is counted."""
+    """Return the results, and why they do not cover the whole mission; empty if they do.
+
+    Of the last round that was begun only a violation is counted."""
     line, judge, reached, ended = Line(sys.stderr), PropertyJudge(GeneratedProperties(program, functions), whole), 0, ""
 
     def progress(round_: int, last: int) -> None:

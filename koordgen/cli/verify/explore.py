@@ -128,8 +128,10 @@ def _searched(
 
 
 def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
-    """Return the bounds of the search for a run that agents can execute. One round of the language may take one agents'
-    round for each robot, since agents commit one transaction per lock in a round."""
+    """Return the bounds of the search for a run that agents can execute.
+
+    One round of the language may take one agents' round for each robot, since agents commit one transaction per lock in
+    a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
     rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
@@ -137,8 +139,9 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
 
 
 def _of_agents(found: FoundViolation, program: Program, about: About, seconds: float | None) -> bool:
-    """Return whether agents can execute each round of a run, including an event without a result. False if that takes
-    more than `seconds` to find out."""
+    """Return whether agents can execute each round of a run, including an event without a result.
+
+    False if that takes more than `seconds` to find out."""
     run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)
     try:
         with alarm(seconds):

@@ -153,8 +153,9 @@ def files(
     robots: list[int | None],
     found: list[list[InvariantVerdict]],
 ) -> dict[str, bytes]:
-    """Return the files of `--emit`, for all requested numbers of robots: each obligation as it was asked last, with the
-    names of all cells."""
+    """Return the files of `--emit`, for all requested numbers of robots.
+
+    Each obligation is as it was asked last, with the names of all cells."""
     from koordgen.lang.node import replace
     from koordgen.verify.prove.obligations.generate import obligations
     from koordgen.verify.prove.smt.emit import folder

@@ -1,4 +1,4 @@
-"""Campaign driver: submits runs to the executor, stores their results, and always ends with a consistent store."""
+"""Campaign driver: submits runs to the executor and stores their results."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ class DiskFull(Exception):
 
 
 class Bundles:
-    """Bundles of a campaign: one for each combination of varied params. A bundle is built when its first run begins,
-    and removed after its last. `build` writes a bundle with these params into a folder; `name` is the bundle's own
-    folder in it."""
+    """Bundles of a campaign: one for each combination of varied params.
+
+    A bundle is built when its first run begins, and removed after its last. `build` writes a bundle with these params
+    into a folder; `name` is the bundle's own folder in it."""
 
     def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[PlannedRun]) -> None:
         self._folder, self._name, self._build = folder, name, build
@@ -65,8 +66,10 @@ def carry_out(
     tell: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute the runs that are not finished. Raises DiskFull and ClusterUnreachable, and KeyboardInterrupt if
-    `interrupted` says so. Whatever it raises, the executor is stopped and finished runs are stored."""
+    """Execute the runs that are not finished.
+
+    Raises DiskFull and ClusterUnreachable, and KeyboardInterrupt if `interrupted` says so. Whatever it raises, the
+    executor is stopped and finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
     progress = CampaignProgress(len(runs), kept)
     under_way: dict[Future[RunResult], PlannedRun] = {}
@@ -136,8 +139,9 @@ def _clock(seconds: float) -> str:
 
 
 def write_table(kept: CampaignStore, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
-    """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs. Return the text.
-    Raises OSError."""
+    """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs.
+
+    Return the text. Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]
     found = table.document(app, planned, results, cells)
     text = table.as_text(found)

@@ -27,7 +27,9 @@ class ClusterUnreachable(Exception):
 
 
 class Executor(Protocol):
-    """Executor of jobs. `width`: number of jobs to submit at a time; `stop` ends running jobs as far as possible."""
+    """Executor of jobs.
+
+    `width`: number of jobs to submit at a time; `stop` ends running jobs as far as possible."""
 
     @property
     def width(self) -> int: ...
@@ -62,8 +64,10 @@ class LocalPool:
 
 
 class DaskCluster:
-    """Dask cluster. Its workers need this koordgen and the packages of its simulator. Bundles and run folders are sent
-    over the cluster's own connections, so no shared disk is needed."""
+    """Dask cluster.
+
+    Its workers need this koordgen and the packages of its simulator. Bundles and run folders are sent over the
+    cluster's own connections, so no shared disk is needed."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -85,7 +89,7 @@ class DaskCluster:
 
     @property
     def width(self) -> int:
-        """Return twice the number of jobs that the workers can execute, so that no worker waits for the next job."""
+        """Return twice the number of jobs that workers can execute, so that none waits for a job."""
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 

@@ -14,8 +14,10 @@ CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run. `varied`: the varied values, by name. Of these, `params` of the program go into its bundle, `settings`
-    of the harness into a file, and `flags` on its command line."""
+    """One run.
+
+    `varied`: the varied values, by name. Of these, `params` of the program go into its bundle, `settings` of the
+    harness into a file, and `flags` on its command line."""
 
     number: int
     varied: Mapping[str, str]
@@ -31,8 +33,10 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """Identity of a campaign. `bundle`: digest of the bundle built without varied params; `verdict`: digest of the
-    script that judges runs, "" without one; `fixed`: flags of every run; `what`: the purpose of the runs."""
+    """Identity of a campaign.
+
+    `bundle`: digest of the bundle built without varied params; `verdict`: digest of the script that judges runs, ""
+    without one; `fixed`: flags of every run; `what`: the purpose of the runs."""
 
     app: str
     bundle: str

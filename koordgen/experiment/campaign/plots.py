@@ -18,7 +18,9 @@ MARKS = {"held": "o", "violated": "X"}
 
 
 def draw(results: Sequence[RunResult], folder: Path) -> list[Path]:
-    """Draw a picture for each varied name and one of mission times; none if no run was executed. Raises OSError."""
+    """Draw a picture for each varied name and one of mission times; none if no run was executed.
+
+    Raises OSError."""
     ran = [r for r in results if r.outcome in COLOURS]
     if not ran:
         return []

@@ -33,9 +33,11 @@ class FolderUnusable(Exception):
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of one run. `outcome`: held, violated or failed (it could not be executed); `why`: the first reason. Times
-    in seconds, distances in metres; None if the run did not report the value. `figures`: numbers from the verdict
-    script; `wall`: time on the host."""
+    """Result of one run.
+
+    `outcome`: held, violated or failed (it could not be executed); `why`: the first reason. Times in seconds, distances
+    in metres; None if the run did not report the value. `figures`: numbers from the verdict script; `wall`: time on the
+    host."""
 
     run: int
     varied: dict[str, str]
@@ -90,8 +92,9 @@ class CampaignStore:
 
 @contextmanager
 def claimed(folder: Path, plan: CampaignPlan, resume: bool) -> Iterator[CampaignStore]:
-    """Claim the campaign's folder, a new one or one with finished runs of the same plan. Raises FolderUnusable,
-    OSError."""
+    """Claim the campaign's folder, a new one or one with finished runs of the same plan.
+
+    Raises FolderUnusable, OSError."""
     if not folder.exists() and resume:
         raise FolderUnusable(f"{folder}: there is no {plan.what} to go on with", "leave out --resume")
     if folder.exists() and not folder.is_dir():

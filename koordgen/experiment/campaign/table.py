@@ -17,8 +17,9 @@ MOST_REASONS = 5
 
 
 def wilson(failures: int, runs: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of a failure rate (E. B. Wilson, "Probable Inference, the Law of Succession,
-    and Statistical Inference", 1927)."""
+    """Return the 95 % confidence interval of a failure rate.
+
+    E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", 1927."""
     if runs == 0:
         return 0.0, 1.0
     rate, share = failures / runs, Z * Z / runs
@@ -40,8 +41,9 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
 
 
 def counted(results: Sequence[RunResult]) -> dict[str, Any]:
-    """Return the numbers of runs by outcome, and statistics of executed runs. Mission time is that of runs that held:
-    a run that a violation ended has no meaningful mission time."""
+    """Return the numbers of runs by outcome, and statistics of executed runs.
+
+    Mission time is that of runs that held: a run that a violation ended has no meaningful mission time."""
     held = [r for r in results if r.outcome == "held"]
     violated = [r for r in results if r.outcome == "violated"]
     ran = [*held, *violated]

@@ -1,4 +1,4 @@
-"""Execution of one run on any host: the bundle's own command, its summary, and the verdict of the user's script.
+"""Execution of one run on any host: the bundle's command, its summary, the user's verdict.
 
 Workers of a cluster run this file, too, so it depends on little else.
 """
@@ -30,8 +30,10 @@ class CampaignStopped(Exception):
 
 @dataclass(frozen=True)
 class Job:
-    """One run to execute. `flags` are the bundle's own; `settings` of its harness override the scenario's; `verdict`:
-    a script that gets the run's folder, "" without one."""
+    """One run to execute.
+
+    `flags` are the bundle's own; `settings` of its harness override the scenario's; `verdict`: a script that gets the
+    run's folder, "" without one."""
 
     number: int
     varied: Mapping[str, str]
@@ -43,8 +45,10 @@ class Job:
 
 
 def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> RunResult:
-    """Execute and judge a run. The run writes into `folder`; its settings and its scenario are stored beside it. Raises
-    CampaignStopped, OSError."""
+    """Execute and judge a run.
+
+    The run writes into `folder`; its settings and its scenario are stored beside it. Raises CampaignStopped,
+    OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
     if job.settings:
@@ -64,8 +68,9 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
 
 
 def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
-    """Run a command to its end. Return its status and its output. It is ended if the campaign is stopped. Raises
-    CampaignStopped."""
+    """Run a command to its end.
+
+    Return its status and its output. It is ended if the campaign is stopped. Raises CampaignStopped."""
     # The child has its own process group, so that this process decides whether it gets a terminal's Ctrl-C.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
@@ -135,8 +140,10 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
 
 
 def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], bool]) -> RunResult:
-    """Judge a run by the user's script. If its status is not 0, the run is violated and the last line of its output is
-    the reason. If the last line is a JSON object, its numbers are figures of the run."""
+    """Judge a run by the user's script.
+
+    If its status is not 0, the run is violated and the last line of its output is the reason. If the last line is a
+    JSON object, its numbers are figures of the run."""
     status, told = watched([sys.executable, script, str(folder)], stopped)
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None

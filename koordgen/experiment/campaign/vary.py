@@ -1,4 +1,4 @@
-"""Variation from run to run: `seed`, `seed=1:70`, `loss=0:0.3`, `delay=0,0.02,0.05`, `param.eps=0.5:0.9`.
+"""Variation from run to run, as in `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`, `param.eps=0.5:0.9`.
 
 Lists of values span cells, one for each combination of their values. Runs go through the cells in turn; one pass
 through all cells is a turn. The runs of one turn have the same seed and the same drawn values, so that cells can be
@@ -71,8 +71,9 @@ def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
 
 
 def _items(text: str) -> list[tuple[str, list[str]]]:
-    """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])]. An item
-    without `=`, except `seed`, continues the list before it."""
+    """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])].
+
+    An item without `=`, except `seed`, continues the list before it."""
     items: list[tuple[str, list[str]]] = []
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
@@ -125,8 +126,9 @@ def _whole(name: str, text: str) -> int:
 
 
 def natural(varied: Sequence[Varied]) -> int | None:
-    """Return the default number of runs: every combination once, with every seed. None if there is no natural
-    number."""
+    """Return the default number of runs: every combination once, with every seed.
+
+    None if there is no natural number."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
     if any(isinstance(v, NumberRange) for v in varied) or (seeds and seeds.last is None):
         return None
@@ -143,8 +145,9 @@ def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
 
 
 def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
-    """Return for each run its varied values by name, as on a command line, in the order of `varied`. Raises BadVary if
-    there are too few seeds."""
+    """Return for each run its varied values by name, as on a command line, in the order of `varied`.
+
+    Raises BadVary if there are too few seeds."""
     combinations = cells(varied)
     ranges = [v for v in varied if isinstance(v, NumberRange)]
     steps = [math.sqrt(prime) for prime in PRIMES]

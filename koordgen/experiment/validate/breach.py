@@ -1,4 +1,4 @@
-"""Kinds of breaches: how a body left the box between its position and its target, by position and motion."""
+"""Kinds of breaches: how a body left the box between its position and its target."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ EXPLANATIONS: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class BoxBreach:
-    """The farthest position outside of the box within one window. `out`: vector from the box (m, local ENU). `at`:
-    begin of the window in seconds since round 1. Each window's box begins at the body's position at that time. For
-    windows one after the other, `together` is the length of the sum of their vectors (m), and `main` the kind of the
-    farthest of them."""
+    """The farthest position outside of the box within one window.
+
+    `out`: vector from the box (m, local ENU). `at`: begin of the window in seconds since round 1. Each window's box
+    begins at the body's position at that time. For windows one after the other, `together` is the length of the sum of
+    their vectors (m), and `main` the kind of the farthest of them."""
 
     pid: int
     at: float
@@ -55,9 +56,11 @@ class ConsecutiveBreaches:
 
 
 def kind(start: Vector, target: Vector, before: Vector, out: Vector, then: Vector) -> Kind:
-    """Return the kind of a breach. `start` and `before`: position and velocity at the window's begin; `out` and `then`:
-    vector from the box and velocity at the farthest position. Only x and y are used, because vertical motion differs
-    from horizontal motion, unless the body left the box mainly by its height."""
+    """Return the kind of a breach.
+
+    `start` and `before`: position and velocity at the window's begin; `out` and `then`: vector from the box and
+    velocity at the farthest position. Only x and y are used, because vertical motion differs from horizontal motion,
+    unless the body left the box mainly by its height."""
     if math.hypot(*then) < SLOW:
         return "drift"
     axes = (2,) if abs(out[2]) > math.hypot(out[0], out[1]) else (0, 1)

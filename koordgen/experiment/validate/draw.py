@@ -1,4 +1,4 @@
-"""Pictures of reachsets: from above, and along the offset over time, all platforms side by side at one scale."""
+"""Pictures of reachsets: from above, and over time, all platforms side by side at one scale."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ MARGIN = 0.06  # part of the picture's extent
 
 
 def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
-    """Draw one column per reachset: x and y above, the position along the offset over time below, all with the same
-    scales. Raises ValueError without any reachset, OSError."""
+    """Draw one column per reachset, all with the same scales.
+
+    Above are x and y, below is the position along the offset over time. Raises ValueError without any reachset,
+    OSError."""
     from matplotlib.figure import Figure
 
     if not reachsets:

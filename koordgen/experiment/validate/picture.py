@@ -1,4 +1,4 @@
-"""Picture of a validation: how far bodies were outside of the box between position and target, window by window."""
+"""Picture of a validation: distances of bodies from their box, window by window."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ BINS = 40
 
 
 def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
-    """Draw a row for each platform: on the left every window by its begin, on the right a histogram of distances and
-    the farthest of each run. False, without a picture, if no run recorded positions. Raises OSError."""
+    """Draw a row for each platform. Return whether there was anything to draw.
+
+    On the left is every window by its begin, on the right a histogram of distances with the farthest of each run.
+    False, without a picture, if no run recorded positions. Raises OSError."""
     from matplotlib.figure import Figure
 
     platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []

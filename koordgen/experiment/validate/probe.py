@@ -1,4 +1,4 @@
-"""Probes: runs in which robots of one platform, far apart, are sent from random starts to a target at a given offset.
+"""Probes: runs in which robots of one platform go from random starts to one relative target.
 
 A small Koord program and a fleet file are generated, built by the ordinary pipeline and run in lockstep like the runs
 of a campaign. Frames: local ENU, metres. A sample's own frame has its origin at the nominal start, so the target is at
@@ -81,9 +81,11 @@ class BadProbe(Exception):
 
 @dataclass(frozen=True)
 class Start:
-    """Set of starts. When the target is commanded, the robot is within `radius` (m, in x and y, uniform) of the nominal
-    start. For a random time in the interval `after` (s) it has moved to a first target, `run_up` m away in a direction
-    within `turn` (rad) of the offset's. If `run_up` is 0, it stands."""
+    """Set of starts.
+
+    When the target is commanded, the robot is within `radius` (m, in x and y, uniform) of the nominal start. For a
+    random time in the interval `after` (s) it has moved to a first target, `run_up` m away in a direction within `turn`
+    (rad) of the offset's. If `run_up` is 0, it stands."""
 
     radius: float = 0.1
     turn: float = 0.1
@@ -93,8 +95,10 @@ class Start:
 
 @dataclass(frozen=True)
 class ProbedPlatform:
-    """Robots of one kind in a fleet file: same target, settings and simulation. `robot`: its entry in the file;
-    `common`: entries for all robots; `beside`: the user's own classes by their path in bundles."""
+    """Robots of one kind in a fleet file: same target, settings and simulation.
+
+    `robot`: its entry in the file; `common`: entries for all robots; `beside`: the user's own classes by their path in
+    bundles."""
 
     name: str
     target: str
@@ -108,8 +112,10 @@ class ProbedPlatform:
 
 @dataclass(frozen=True)
 class Probe:
-    """Request for samples: `count` robots, `robots` of them in each run, are observed for `seconds` on their path to a
-    target at `offset` (m, ENU)."""
+    """Request for samples of one platform's motion.
+
+    `count` robots, `robots` of them in each run, are observed for `seconds` on their path to a target at `offset` (m,
+    ENU)."""
 
     platform: ProbedPlatform
     offset: Vector
@@ -134,8 +140,10 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of a probe. `times` (T,): s since the target was commanded; `positions` (n, T, 3): m in the samples'
-    frame; `starts` (n, 7): position (m), velocity (m/s, ENU) and yaw (rad)."""
+    """Samples of a probe.
+
+    `times` (T,): s since the target was commanded; `positions` (n, T, 3): m in the samples' frame; `starts` (n, 7):
+    position (m), velocity (m/s, ENU) and yaw (rad)."""
 
     probe: Probe
     times: Array
@@ -148,8 +156,9 @@ def _harness() -> Target:
 
 
 def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
-    """Return the platforms of a fleet file by name: target and fidelity; if several differ in settings alone, the first
-    robot of each. Raises Rejected, ManifestError."""
+    """Return the platforms of a fleet file by name: target and fidelity.
+
+    If several differ in settings alone, the first robot of each. Raises Rejected, ManifestError."""
     targets = {name: manifest.load(name) for name in manifest.available()}
     harness = _harness()
     fleet, _ = read_fleet(fleet_file, targets, None)
@@ -189,8 +198,9 @@ def check(probe: Probe) -> None:
 
 
 def drawn(probe: Probe, part: int) -> dict[str, Any]:
-    """Return the fleet file of one run as plain values. The seed, the part and the robot determine all random
-    values."""
+    """Return the fleet file of one run as plain values.
+
+    The seed, the part and the robot determine all random values."""
     platform, start = probe.platform, probe.start
     apart = 2 * (math.hypot(*probe.offset[:2]) + start.run_up) + 6.0
     columns = math.ceil(math.sqrt(probe.robots))
@@ -230,7 +240,9 @@ def program_of(target: manifest.Target) -> str:
 
 
 def built(probe: Probe, part: int, folder: Path) -> None:
-    """Write program and fleet, and build their bundle into `folder`. Raises Rejected, CannotWrite, OSError."""
+    """Write program and fleet, and build their bundle into `folder`.
+
+    Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
     program, fleet = folder / "probe.koord", folder / "fleet.yaml"
     program.write_text(program_of(manifest.load(probe.platform.target)), encoding="utf-8")
@@ -250,8 +262,10 @@ def sampled(
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
-    """Execute all runs in a new folder, as a campaign does. The files of a run, some 10 MB, are deleted after its
-    samples are taken. Raises BadProbe if a probe is impossible or did not run, and what `drive.carry_out` raises."""
+    """Execute all runs in a new folder, as a campaign does.
+
+    The files of a run, some 10 MB, are deleted after its samples are taken. Raises BadProbe if a probe is impossible or
+    did not run, and what `drive.carry_out` raises."""
     for probe in probes:
         check(probe)
     runs: list[PlannedRun] = []

@@ -23,8 +23,9 @@ PARTS = 3  # parts of the samples: for learning, for calibration, for the check
 
 @dataclass(frozen=True)
 class ReachsetRequest:
-    """Request for reachsets: a target at `offset` (m, ENU), and the claim about paths to it. `seconds`: observation of
-    each path; None: enough for a slow robot at half a metre a second, and 4 s to stop."""
+    """Request for reachsets: a target at `offset` (m, ENU), and the claim about paths to it.
+
+    `seconds`: observation of each path; None: enough for a slow robot at half a metre a second, and 4 s to stop."""
 
     offset: Vector
     epsilon: float = EPSILON
@@ -41,8 +42,9 @@ class ReachsetRequest:
 
 
 def probes(fleet_file: str, names: Sequence[str], asked: ReachsetRequest) -> list[Probe]:
-    """Return a probe for each named platform of the fleet file, or for all if none is named. Raises BadProbe, Rejected,
-    ManifestError."""
+    """Return a probe for each named platform of the fleet file, or for all if none is named.
+
+    Raises BadProbe, Rejected, ManifestError."""
     known = platforms(fleet_file)
     if unknown := [name for name in names if name not in known]:
         raise BadProbe(f"{fleet_file} has no platform {unknown[0]!r}", f"there are: {', '.join(known)}")
@@ -60,9 +62,10 @@ def reachsets(
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Reachset]:
-    """Return one reachset per platform, in the order of `names`. Their runs are executed together, in a new folder,
-    with the same starts for all. Raises BadProbe, Rejected, ManifestError, and what `campaign.drive.carry_out`
-    raises."""
+    """Return one reachset per platform, in the order of `names`.
+
+    Their runs are executed together, in a new folder, with the same starts for all. Raises BadProbe, Rejected,
+    ManifestError, and what `campaign.drive.carry_out` raises."""
     found = sampled(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
     return [reached(samples, asked.epsilon, asked.gamma) for samples in found]
 
@@ -73,7 +76,9 @@ def comparisons(found: Sequence[Reachset]) -> list[Comparison]:
 
 
 def written(found: Sequence[Reachset], folder: Path) -> list[Path]:
-    """Write a JSON file for each reachset, their picture, and the table that compares them. Raises OSError."""
+    """Write a JSON file for each reachset, their picture, and the table that compares them.
+
+    Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for one in found:

@@ -28,8 +28,10 @@ class SampledAssumption:
 
 @dataclass
 class AssumptionObservation:
-    """Observation of one assumption on one robot in a run. `windows`: numbers of windows by outcome; `first`: time of
-    the first violation (seconds since round 1); `worst`: the farthest breach in a violated window."""
+    """Observation of one assumption on one robot in a run.
+
+    `windows`: numbers of windows by outcome; `first`: time of the first violation (seconds since round 1); `worst`: the
+    farthest breach in a violated window."""
 
     windows: Counter[str] = field(default_factory=Counter)
     first: float | None = None
@@ -41,8 +43,10 @@ class AssumptionObservation:
 
 @dataclass(frozen=True)
 class RunSample:
-    """One run. `platforms` and `names` by pid. `far` and `reach`, by pid: largest distance of a body from its target
-    (metres), while it was outside of the box, and at any time."""
+    """One run.
+
+    `platforms` and `names` by pid. `far` and `reach`, by pid: largest distance of a body from its target (metres),
+    while it was outside of the box, and at any time."""
 
     run: int
     seed: int
@@ -126,8 +130,9 @@ def _note(seen: AssumptionObservation, came: str, at: float, breach: BoxBreach |
 
 
 def margin(samples: Iterable[RunSample], platform: str, *, outside: bool) -> float:
-    """Return the largest distance (m) of a robot of that platform from its target in any of the runs: while it was
-    outside of the box, or at any time. 0 if there was none."""
+    """Return the largest distance (m) of a platform's robots from their target in any run.
+
+    If `outside`, only while the robot was outside of the box. 0 if there was no such time."""
     values = (
         (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
     )

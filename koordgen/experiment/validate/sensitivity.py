@@ -1,4 +1,4 @@
-"""Discrepancy function: a bound of the distance between two paths that begin close together, learned from samples.
+"""Discrepancy function: learned bound of the distance of paths that begin close together.
 
 C. Fan, B. Qi, S. Mitra, M. Viswanathan, "DryVR: Data-Driven Verification and Compositional Reasoning for Automotive
 Systems" (CAV 2017): |x1(t) - x0(t)| <= K_j exp(g_j (t - t_j)) |x1(0) - x0(0)| on the segment [t_j, t_j+1], its
@@ -22,8 +22,10 @@ LEAST = 1e-9  # smallest gain, since its logarithm is taken
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Discrepancy function. `edges` (J + 1,): ends of the segments in s; `gains` (J + 1,): K at each of them, whose
-    logarithm is linear in time in between. `factor` multiplies all gains; `resolution` is a distance of starts."""
+    """Discrepancy function.
+
+    `edges` (J + 1,): ends of the segments in s; `gains` (J + 1,): K at each of them, whose logarithm is linear in time
+    in between. `factor` multiplies all gains; `resolution` is a distance of starts."""
 
     edges: Array
     gains: Array
@@ -42,16 +44,19 @@ class Discrepancy:
         return found
 
     def beyond(self, times: Array, apart: Array, away: Array) -> Array:
-        """Return for pairs (n,) by which factor they exceed the bound at most; 1 is on the bound. `away` (n,): distance
-        of the starts; `apart` (n, T): distance of the paths in metres."""
+        """Return for pairs (n,) by which factor they exceed the bound at most; 1 is on the bound.
+
+        `away` (n,): distance of the starts; `apart` (n, T): distance of the paths in metres."""
         ratio = apart / np.maximum(away, self.resolution)[:, None] / self.gain(times)
         found: Array = ratio.max(axis=1)
         return found
 
 
 def learned(times: Array, ways: Array, starts: Array, segment: float) -> Discrepancy:
-    """Learn the shape from all pairs among `ways` (n, T, d) in m at `times` (T,) in s with `starts` (n, f). Segments
-    are `segment` s long. The resolution is the largest distance of a start from its nearest neighbour."""
+    """Learn the shape of a discrepancy function from all pairs among `ways`.
+
+    `ways` (n, T, d) in m at `times` (T,) in s have the starts `starts` (n, f). Segments are `segment` s long. The
+    resolution is the largest distance of a start from its nearest neighbour."""
     edges = np.linspace(times[0], times[-1], max(1, round((times[-1] - times[0]) / segment)) + 1)
     away = np.linalg.norm(starts[:, None] - starts[None], axis=-1)
     resolution = float(np.where(np.eye(len(away)) > 0, np.inf, away).min(axis=1).max())
@@ -72,6 +77,5 @@ def nearest(starts: Array, centres: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def calibrated(found: Discrepancy, times: Array, apart: Array, away: Array) -> Discrepancy:
-    """Return the function with the least factor >= 1 at which it holds for these pairs, which were not used to
-    learn."""
+    """Return the function with the least factor >= 1 that holds for these pairs, new to it."""
     return replace(found, factor=found.factor * max(1.0, float(found.beyond(times, apart, away).max())))

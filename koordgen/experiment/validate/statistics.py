@@ -9,24 +9,28 @@ HALVINGS = 60
 
 
 def needed(epsilon: float, gamma: float) -> int:
-    """Return how many independent samples, none of which exceeds a threshold, show with confidence 1 - gamma that at
-    most a part epsilon of all future samples exceeds it: the least n >= ln(1/gamma)/epsilon, because (1 - epsilon)^n <=
-    exp(-n epsilon) <= gamma. The same holds for runs without a violation. Raises ValueError."""
+    """Return the number of samples below a threshold that show the claim of epsilon and gamma.
+
+    The samples are independent, and none exceeds the threshold. The claim: with confidence 1 - gamma at most a part
+    epsilon of all future samples exceeds it. The number is the least n >= ln(1/gamma)/epsilon, because (1 - epsilon)^n
+    <= exp(-n epsilon) <= gamma. The same holds for runs without a violation. Raises ValueError."""
     if not (0 < epsilon < 1 and 0 < gamma < 1):
         raise ValueError(f"epsilon {epsilon:g} and gamma {gamma:g} must be between 0 and 1")
     return math.ceil(math.log(1.0 / gamma) / epsilon)
 
 
 def shown_epsilon(runs: int, gamma: float) -> float:
-    """Return the epsilon that `runs` runs without a violation show at confidence 1 - gamma: (1 - epsilon)^runs =
-    gamma."""
+    """Return the epsilon that `runs` runs without a violation show at confidence 1 - gamma.
+
+    It solves (1 - epsilon)^runs = gamma."""
     return 1.0 if runs < 1 else -math.expm1(math.log(gamma) / runs)
 
 
 def clopper_pearson(violated: int, runs: int, gamma: float) -> tuple[float, float]:
-    """Return an interval that contains the probability of a violation with confidence 1 - gamma or more, whatever it
-    is: the probabilities for which neither this many violations or more, nor this many or fewer, are rarer than gamma/2
-    (Clopper and Pearson 1934). Without runs, it is [0, 1]."""
+    """Return a confidence interval of the probability of a violation (Clopper and Pearson 1934).
+
+    It contains the probability with confidence 1 - gamma or more, whatever it is: its probabilities are those for which
+    neither this many violations or more, nor this many or fewer, are rarer than gamma/2. Without runs, it is [0, 1]."""
     low = 0.0 if not violated else _where(lambda p: 1.0 - _at_most(violated - 1, runs, p) < gamma / 2)
     high = 1.0 if violated == runs else _where(lambda p: _at_most(violated, runs, p) > gamma / 2)
     return low, high

@@ -1,4 +1,4 @@
-"""Suggestions: weaker assumptions with margins that all samples satisfy, and the invariants that each proves."""
+"""Suggestions: weaker assumptions that all samples satisfy, and the verdicts with each."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ MOST_SAID = 140  # longest reason in characters
 
 @dataclass(frozen=True)
 class Proved:
-    """Verdict of an invariant under some assumption. `closing`: what else would prove it, or why it is not proved;
-    empty if neither is known."""
+    """Verdict of an invariant under some assumption.
+
+    `closing`: what else would prove it, or why it is not proved; empty if neither is known."""
 
     invariant: str
     verdict: str
@@ -36,8 +37,9 @@ class Proved:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """An assumption that replaces another one. Margins in metres, by platform and for all of them; `proved`: the
-    verdicts with it."""
+    """An assumption that replaces another one.
+
+    Margins in metres, by platform and for all of them; `proved`: the verdicts with it."""
 
     module: str
     line: int
@@ -53,7 +55,7 @@ class Suggestion:
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """Return the assumption at a line if it only constrains the path of a body from `position` to `target`."""
+    """Return the assumption at a line if it only constrains the path from `position` to `target`."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -73,8 +75,10 @@ def suggestions(
     samples: Sequence[RunSample],
     solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
-    """Return replacements of the assumption at that line: its box or a ball about the target, and the ball alone. Empty
-    if it is about something else. Raises SolverMissing.
+    """Return weaker replacements of the assumption at a line.
+
+    They are its box or a ball about the target, and the ball alone. Empty if it is about something else. Raises
+    SolverMissing.
 
     A box that is inflated around its start would drift, step by step, and break every invariant about positions. So the
     margin is added around the target."""

@@ -1,4 +1,4 @@
-"""Result of a validation as text (at most 120 columns, except for texts of the user), and as data for JSON."""
+"""Result of a validation as text of at most 120 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """One validation: program and fleet, its runs, and its results. `texts`: the assumptions as the program has them,
-    by line; `unchecked`: lines that cannot be evaluated, with the reason; `failed`: the first reason why runs did not
-    end regularly; `start_noise` in metres and radians."""
+    """One validation: program and fleet, its runs, and its results.
+
+    `texts`: the assumptions as the program has them, by line; `unchecked`: lines that cannot be evaluated, with the
+    reason; `failed`: the first reason why runs did not end regularly; `start_noise` in metres and radians."""
 
     program: str
     fleet: str

@@ -1,4 +1,4 @@
-"""Reachsets: positions of a platform on its path to a target, as a tube of boxes over time, learned from samples.
+"""Reachsets: a platform's positions on its path to a target, as boxes over time, from samples.
 
 After DryVR (sensitivity.py): paths from sampled starts cover the set of starts, and are inflated by the distance that a
 path can have from the nearest of them. The factor of this inflation is calibrated on separate samples: the least that
@@ -36,9 +36,10 @@ MOST_BOXES = 100  # most boxes for the computation of a volume
 
 @dataclass(frozen=True)
 class Observed:
-    """Measurements of the samples in metres: farthest distance beyond the target along the offset, to a side of the
-    offset, and out of the box between own start and target. `moving`: part of the robots that still moved at the
-    end."""
+    """Measurements of the samples, in metres.
+
+    `overshoot`: farthest beyond the target along the offset; `lateral`: farthest to a side of the offset; `excess`:
+    farthest out of the box between own start and target; `moving`: part of the robots that still moved at the end."""
 
     overshoot: float
     lateral: float
@@ -48,11 +49,13 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Reachset:
-    """Tube of boxes. While edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3); seen from
-    above, between ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples`: numbers of samples
-    for learning, calibration and check. `covered`: part of the last ones that never left the tube; `pairs_covered`:
-    part of them for which the sensitivity held. `inflated`: calibrated factor on the sensitivity's radius. `ways`
-    (w, J + 1, 3): some samples at the edges."""
+    """Tube of boxes.
+
+    While edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3); seen from above, between
+    ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples`: numbers of samples for learning,
+    calibration and check. `covered`: part of the last ones that never left the tube; `pairs_covered`: part of them for
+    which the sensitivity held. `inflated`: calibrated factor on the sensitivity's radius. `ways` (w, J + 1, 3): some
+    samples at the edges."""
 
     platform: str
     target: str
@@ -126,7 +129,7 @@ def from_json(value: dict[str, Any]) -> Reachset:
 
 
 def features(starts: Array) -> Array:
-    """Map starts (n, 7) to points (n, 8) with distances in metres: position, velocity, and heading as a unit vector."""
+    """Map starts (n, 7) to points (n, 8): position, velocity, and heading as a unit vector, in m."""
     yaw = starts[:, 6:7]
     return np.hstack([starts[:, :3], VELOCITY * starts[:, 3:6], HEADING * np.cos(yaw), HEADING * np.sin(yaw)])
 
@@ -145,9 +148,10 @@ class Tube:
 
 
 def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
-    """Learn a tube from `ways` (n, T, d) at evenly spaced `times` (T,) with starts (n, f). The first part is for
-    learning, the next `each` for calibration, the last `each` for the check. Boxes last `step` seconds, and extend
-    along `axes` (d, a), unit vectors. Raises ValueError."""
+    """Learn a tube from `ways` (n, T, d) at evenly spaced `times` (T,) with starts (n, f).
+
+    The first part is for learning, the next `each` for calibration, the last `each` for the check. Boxes last `step`
+    seconds, and extend along `axes` (d, a), unit vectors. Raises ValueError."""
     first = len(ways) - 2 * each
     if first < 2:
         raise ValueError(f"{len(ways)} samples; with {each} to calibrate and {each} to check there must be more")
@@ -168,8 +172,9 @@ def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes:
 
 
 def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
-    """Pair each path with that of `centres` with the closest start. Return their distances over time, and at the
-    start."""
+    """Pair each path with that of `centres` with the closest start.
+
+    Return their distances over time, and at the start."""
     which, away = nearest(starts, at)
     return np.linalg.norm(ways - centres[which], axis=2), away
 
@@ -226,8 +231,10 @@ def _observed(samples: Samples) -> Observed:
 
 @dataclass(frozen=True)
 class Figures:
-    """Sizes of one reachset in m, m^2 and m^3: the union of its boxes, over the window of one delta in which it is
-    largest and over the whole move; the distance beyond the target, and to a side."""
+    """Sizes of one reachset in m, m^2 and m^3.
+
+    They are those of the union of its boxes, over the window of one delta in which it is largest and over the whole
+    move; the distance beyond the target, and to a side."""
 
     area_delta: float
     area: float

@@ -60,11 +60,13 @@ class RobotSummary:
 
 @dataclass(frozen=True)
 class AssumptionVerdict:
-    """Verdict about one assumption on one platform. `runs`: samples in which it was judged; `violated`: those in which
-    it was violated; `interval`: that of the probability that a run violates it; `windows` and `violated_windows`: sums
-    over all samples. `worst`: the farthest breach, or the first violation. `epsilon`: the bound that this many runs
-    without a violation would show; `wanted`: number of further runs needed. By kind of breach: violated windows, and
-    distances outside of the box in metres, in one window (`farthest`) and in consecutive windows (`together`)."""
+    """Verdict about one assumption on one platform.
+
+    `runs`: samples in which it was judged; `violated`: those in which it was violated; `interval`: that of the
+    probability that a run violates it; `windows` and `violated_windows`: sums over all samples. `worst`: the farthest
+    breach, or the first violation. `epsilon`: the bound that this many runs without a violation would show; `wanted`:
+    number of further runs needed. By kind of breach: violated windows, and distances outside of the box in metres, in
+    one window (`farthest`) and in consecutive windows (`together`)."""
 
     assumption: SampledAssumption
     platform: str
@@ -86,8 +88,10 @@ class AssumptionVerdict:
 
 
 def verdicts(samples: Sequence[RunSample], unfinished: int, bound: ProbabilityBound) -> list[AssumptionVerdict]:
-    """Return the verdicts by assumption, then platform, in the order of program and fleet. `unfinished`: number of
-    started runs without a sample. Empty without samples, since then not even the platforms are known."""
+    """Return the verdicts by assumption, then platform, in the order of program and fleet.
+
+    `unfinished`: number of started runs without a sample. Empty without samples, since then not even the platforms are
+    known."""
     if not samples:
         return []
     platforms = dict.fromkeys(samples[0].platforms)

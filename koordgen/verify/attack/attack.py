@@ -1,4 +1,4 @@
-"""Attack on a program's PROVED invariants, within a time budget: the states, their order, and the result.
+"""Attack on PROVED invariants within a time budget: the states, their order, and the result.
 
 Cheap and likely states come first: initial states, `init`, the first events of each robot. Then three sources alternate
 by the time that they have used: random walks from `init`; states from the solver's models, from which one round is run
@@ -61,8 +61,10 @@ Clock = Callable[[], float]
 
 
 class AttackReport(NamedTuple):
-    """Result of an attack. `states`: number of states in which each invariant was judged, by step (an event's name,
-    "init", "(environment)") and invariant. `reasons`: why there were none, with the same keys."""
+    """Result of an attack.
+
+    `states`: number of states in which each invariant was judged, by step (an event's name, "init", "(environment)")
+    and invariant. `reasons`: why there were none, with the same keys."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -91,8 +93,10 @@ class ContradictionFound(Exception):
 
 
 class RunPosition(NamedTuple):
-    """Position within a run: its first state, the state at the round's start, the present state, the robots that had
-    their turn in this round, all steps so far."""
+    """Position within a run.
+
+    `first`: the run's first state; `start`: the state at the round's start; `now`: the present state; `turns`: the
+    robots that had their turn in this round; `acts`: all steps so far."""
 
     first: State
     start: State
@@ -118,9 +122,11 @@ def attack(
     params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
 ) -> AttackReport:  # fmt: skip
-    """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`. The default
-    clock is CPU time, to which the time of the solver is added; with another clock, which counts work, waiting for the
-    solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides pre-states."""
+    """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`.
+
+    The default clock is CPU time, to which the time of the solver is added; with another clock, which counts work,
+    waiting for the solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides
+    pre-states."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
@@ -138,8 +144,9 @@ def _none(why: str) -> AttackReport:
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """Return the program made exact, and whether some initial values are GridMaps. Those are computed as robots do,
-    with the params of the program, because a GridMap has no exact form."""
+    """Return the program made exact, and whether some initial values are GridMaps.
+
+    Those are computed as robots do, with the params of the program, because a GridMap has no exact form."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
@@ -210,7 +217,9 @@ class _AttackSearch:
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """Run a contradiction again from its beginning, by another judge. Raises InternalError if it does not recur."""
+        """Run a contradiction again from its beginning, by another judge.
+
+        Raises InternalError if it does not recur."""
         why = "the second run shows no contradiction"
         try:
             again = TrialJudge(self.exact, self.proved, self.states.answers).replay(found.trial).contradiction
@@ -236,8 +245,9 @@ class _AttackSearch:
             self.unit()
 
     def unit(self) -> None:
-        """Count one unit of work. Raises BudgetSpent if the budget is used up, or the last STALE units found no new
-        state."""
+        """Count one unit of work.
+
+        Raises BudgetSpent if the budget is used up, or the last STALE units found no new state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
@@ -248,8 +258,9 @@ class _AttackSearch:
     # Initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Run initial states of each number of robots: `init`, one event of each robot, one step of the environment;
-        then some rounds."""
+        """Run the first states of each number of robots.
+
+        For each of them: `init`, one event of each robot, one step of the environment; then some rounds."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 place = self.launch(robots)
@@ -354,8 +365,9 @@ class _AttackSearch:
                 yield
 
     def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
-        """Run one round in every order, with the environment's step after each event, from a state that satisfies the
-        PROVED invariants; at most `most` steps."""
+        """Run one round in every order from a state that satisfies the PROVED invariants.
+
+        The environment's step follows each event. At most `most` steps are run."""
         try:
             if self.judge.violated_hypothesis(state) or not self.fresh(state):
                 return
@@ -411,8 +423,9 @@ class _AttackSearch:
         return self.check(place, act, after, breach)
 
     def settle(self, place: RunPosition) -> RunPosition | None:
-        """Return the beginning of the next round, after the environment's step; None if the assumptions allow none of
-        the moves that were drawn."""
+        """Return the beginning of the next round, after the environment's step.
+
+        None if the assumptions allow none of the moves that were drawn."""
         self.unit()
         if not self.states.sensors:
             sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])

@@ -1,4 +1,6 @@
-"""File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON. Everything in a file is checked.
+"""File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON.
+
+Everything in a file is checked.
 
 Exact numbers are texts ("1/3", "sqrt(2)"). A file may come from anywhere: it may be of another program, cut short or
 hostile. So the program's hash must agree, every name must be in the program, every value must have its variable's
@@ -63,7 +65,7 @@ class BadFile(Exception):
 
 
 class TrialFile(NamedTuple):
-    """Content of a file: the invariants that were PROVED, the trial, and the invariant that it contradicts."""
+    """Content of a file: the PROVED invariants, the trial, and the invariant that it contradicts."""
 
     proved: tuple[str, ...]
     trial: Trial

@@ -1,4 +1,4 @@
-"""Judge of verdicts: runs steps by the executable semantics, and finds PROVED invariants that a state contradicts.
+"""Judge of verdicts: runs steps by the semantics, and finds PROVED invariants that they contradict.
 
 `koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, how
 sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
@@ -48,7 +48,10 @@ FALLIBLE = frozenset(
 
 
 class Act(NamedTuple):
-    """One step of a trial: an event of robot `pid`; INIT of all robots; ENVIRONMENT with all robots' new sensors."""
+    """One step of a trial.
+
+    `event`: an event of robot `pid`; or INIT, of all robots; or ENVIRONMENT, with the new sensor values of all
+    robots."""
 
     event: str
     pid: int | None = None
@@ -57,8 +60,9 @@ class Act(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A state at a round's start, or before `init`, and the steps to run on it. In a round each robot runs at most one
-    event, and the environment's step ends the round."""
+    """A state at a round's start, or before `init`, and the steps to run on it.
+
+    In a round each robot runs at most one event, and the environment's step ends the round."""
 
     state: State
     acts: tuple[Act, ...]
@@ -88,7 +92,9 @@ class ReadyEvents(NamedTuple):
 
 
 class ReplayedTrial(NamedTuple):
-    """Replayed trial: its states before the first step and after each; the contradiction in the last step, if any."""
+    """Replayed trial: its states, and the contradiction in its last step, if there is one.
+
+    `states`: the state before the first step, and the state after each step."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
@@ -103,9 +109,10 @@ class TrialNotCovered(Exception):
 
 
 class TrialJudge:
-    """Judge of one program, made exact. `proved`: names of the PROVED invariants. `draw` proposes answers of callable
-    ports. `counts`: number of states in which each invariant was judged, by step and invariant; `reasons`: why it could
-    not be judged."""
+    """Judge of one program, made exact.
+
+    `proved`: names of the PROVED invariants. `draw` proposes answers of callable ports. `counts`: number of states in
+    which each invariant was judged, by step and invariant; `reasons`: why it could not be judged."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -130,8 +137,9 @@ class TrialJudge:
     # Claims about a state
 
     def judged(self, state: State, event: str) -> VerdictBreach | None:
-        """Return the first PROVED invariant that is contradicted after `event`. Each state is judged once after each
-        event."""
+        """Return the first PROVED invariant that is contradicted after `event`.
+
+        Each state is judged once after each event."""
         if not self._new(event, key_of(state)):
             return None
         for property_ in self.invariants:
@@ -167,8 +175,10 @@ class TrialJudge:
         return all(self._true(property_, state) for property_ in self.initially)
 
     def violated_hypothesis(self, state: State) -> str:
-        """Return the name of a hypothesis that a state violates; empty if it satisfies all. Hypotheses are the PROVED
-        invariants, and formulas of `initially` about params, which hold for good. Raises UnusableStep."""
+        """Return the name of a hypothesis that a state violates; empty if it satisfies all.
+
+        Hypotheses are the PROVED invariants, and formulas of `initially` about params, which hold for good. Raises
+        UnusableStep."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"the formula of `initially` about params in line {part.span.line}"
@@ -189,8 +199,10 @@ class TrialJudge:
     # Steps
 
     def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
-        """Run every robot's init. If an `init` is discarded, its robot stops and the mission does not begin. Then only
-        `(well-defined)` makes a promise, which excludes that. Raises UnusableStep."""
+        """Run every robot's init.
+
+        If an `init` is discarded, its robot stops and the mission does not begin. Then only `(well-defined)` makes a
+        promise, which excludes that. Raises UnusableStep."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)

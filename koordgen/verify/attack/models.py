@@ -34,7 +34,9 @@ NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
 class Models:
-    """Source of pre-states of one program whose invariants are all PROVED; `exact` is the same program made exact."""
+    """Source of pre-states of one program whose invariants are all PROVED.
+
+    `exact` is the same program made exact."""
 
     def __init__(
         self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | CrossCheck,
@@ -47,8 +49,9 @@ class Models:
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
-        """Return a state of `robots` robots in which the guard of `event` holds for one of them, found within `most`
-        seconds. None if there is none that can be read; then `why` gives the reason."""
+        """Return a state in which the guard of `event` holds for a robot; None if none can be read.
+
+        The state has `robots` robots and is found within `most` seconds. Without a state, `why` gives the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             t.count_anew()
@@ -126,7 +129,9 @@ class Models:
 
 
 class _Acting(FleetScope):
-    """Scope of a guard: the variables of one robot at a round's start. Callable ports have arbitrary answers."""
+    """Scope of a guard: the variables of one robot at a round's start.
+
+    Callable ports have arbitrary answers."""
 
     def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
@@ -143,7 +148,9 @@ class _Acting(FleetScope):
 
 
 def _is_readable(type_: Type) -> bool:
-    """Return whether a model determines values of a type. Variables of other types keep their initial values."""
+    """Return whether a model determines values of a type.
+
+    Variables of other types keep their initial values."""
     match type_:
         case RecordType(_, fields):
             return all(_is_readable(field) for _, field in fields)

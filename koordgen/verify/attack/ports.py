@@ -31,8 +31,9 @@ class PortAnswer(NamedTuple):
 
 
 class AttackPorts:
-    """Callable ports and extern functions of one step after the other. The semantics calls `world`. `lacking`: why the
-    present step shows nothing, if a call has no known answer."""
+    """Callable ports and extern functions of one step after the other.
+
+    The semantics calls `world`. `lacking`: why the present step shows nothing, if a call has no known answer."""
 
     def __init__(self, program: decl.Program, draw: Draw) -> None:
         self.program, self.draw = program, draw

@@ -1,4 +1,6 @@
-"""Random concrete states for attacks: initial states, moves of sensors, answers of planners. They are not checked here.
+"""Random concrete states for attacks: initial states, moves of sensors, answers of planners.
+
+They are not checked here.
 
 Values come from the most promising sources: constants in the program's formulas and events, the params, commands that
 were given, and numbers next to those. The same seed draws the same states.
@@ -67,8 +69,10 @@ class States:
     # Before init
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """Draw a state before `init` that is `plausible`; None if none was found. Robots are drawn one after the other,
-        so that each fits those before it. The first attempt places robots apart and uses the params of the program."""
+        """Draw a state before `init` that is `plausible`; None if none was found.
+
+        Robots are drawn one after the other, so that each fits those before it. The first attempt places robots apart
+        and uses the params of the program."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
@@ -146,7 +150,7 @@ class States:
     # Variations of a state
 
     def varied(self, state: State) -> State:
-        """Return a state that differs in a few variables, whose values are drawn or copied from other variables."""
+        """Return a state that differs in a few variables, with drawn or copied values."""
         for _ in range(self.random.randint(1, VARIED)):
             kind, name, type_ = self.random.choice(self.variables)
             pids = range(len(state.robots))

@@ -17,9 +17,10 @@ _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "co
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """Assumptions behind a violated invariant. `rests`: all assumptions of its proof. `broke`: those that broke no
-    later than the invariant, the earliest first. `unseen`: those that were not observed throughout, so may have
-    broken."""
+    """Assumptions behind a violated invariant.
+
+    `rests`: all assumptions of its proof. `broke`: those that broke no later than the invariant, the earliest first.
+    `unseen`: those that were not observed throughout, so may have broken."""
 
     invariant: PropertyResult
     rests: tuple[LedgerEntry, ...]

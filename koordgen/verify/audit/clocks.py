@@ -9,8 +9,9 @@ DRIFT = 1e-3  # s a second: twice the drift between two clocks
 
 
 def notes(mission: FleetMission) -> list[str]:
-    """Return notes about robots whose clock and rounds differ. Fleet time is counted in rounds; a robot's own clock
-    only decides when its rounds begin."""
+    """Return notes about robots whose clock and rounds differ.
+
+    Fleet time is counted in rounds; a robot's own clock only decides when its rounds begin."""
     found = []
     delta = mission.delta
     for story in mission.stories:

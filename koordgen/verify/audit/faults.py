@@ -1,4 +1,4 @@
-"""Contracts of extern functions, other causes of discarded events, and loop invariants, from robots' records."""
+"""Contracts of extern functions, causes of discarded events, and loop invariants, from records."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ _CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # the format
 
 
 def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
-    """Return a result for each line of a contract, and a last one of every program: no event is discarded for a cause
-    in the program. Robots do not record single calls, so events are counted."""
+    """Return a result for each line of a contract, and a last one for discarded events.
+
+    The last result, which every program has, says that no event was discarded for a cause in the program. Robots do not
+    record single calls, so events are counted."""
     found = {
         formula.span.line: PropertyResult("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
@@ -49,7 +51,9 @@ def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResu
 
 
 def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
-    """Return a result for each loop invariant. Events and `init`s are counted, whether they contain the loop or not."""
+    """Return a result for each loop invariant.
+
+    Events and `init`s are counted, whether they contain the loop or not."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: PropertyResult("loop invariant", f"line {line}", line) for line in sorted(invariants)}
@@ -86,13 +90,15 @@ def _record(story: RobotHistory, round_: int) -> Mapping[str, Any]:
 
 
 def late(mission: FleetMission) -> int:
-    """Return the number of events that were discarded because they took too long, which is no fault of the program."""
+    """Return the number of events that were discarded because they took too long."""
     faults = [line.record.get("fault") for story in mission.stories for line in story.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
 def _line(record: Mapping[str, Any], contracts: Mapping[int, PropertyResult]) -> int:
-    """Return the line of the broken contract; 0 if an event was discarded for another cause in the program, else -1."""
+    """Return the line of the broken contract.
+
+    0 if an event was discarded for another cause in the program, else -1."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
         return -1

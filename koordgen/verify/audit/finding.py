@@ -14,7 +14,9 @@ BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
 class Observation(NamedTuple):
-    """Time of an observation: right after a round's events, or at its end; round 0 is `init`. Times are ordered."""
+    """Time of an observation: right after a round's events, or at its end; round 0 is `init`.
+
+    Times are ordered."""
 
     round: int
     end: bool
@@ -25,7 +27,9 @@ class Observation(NamedTuple):
 
 
 class ValueRow(NamedTuple):
-    """Value of a variable at the previous and at this observation. `robot` is empty for an allwrite variable."""
+    """Value of a variable at the previous and at this observation.
+
+    `robot` is empty for an allwrite variable."""
 
     robot: str
     variable: str
@@ -35,8 +39,10 @@ class ValueRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class AuditViolation:
-    """First violation of a property. `robots`: those for which it was false; `bound` and `read`: the values that its
-    formula used; `why`: the reason if it had no value. `where`: the time within the round, in words."""
+    """First violation of a property.
+
+    `robots`: those for which it was false; `bound` and `read`: the values that its formula used; `why`: the reason if
+    it had no value. `where`: the time within the round, in words."""
 
     moment: Observation
     where: str
@@ -57,10 +63,12 @@ class OutcomeSpan(NamedTuple):
 
 @dataclass
 class PropertyResult:
-    """Result of one property. `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not;
-    for an assumption, summed over all robots. `missing`: unknown values with their cause, and the number of rounds.
-    `unchecked`: the reason why it can never be evaluated. `unseen`: a robot may have broken this assumption, because it
-    was in the model while its ports were unknown."""
+    """Result of one property.
+
+    `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not; for an assumption, summed over
+    all robots. `missing`: unknown values with their cause, and the number of rounds. `unchecked`: the reason why it can
+    never be evaluated. `unseen`: a robot may have broken this assumption, because it was in the model while its ports
+    were unknown."""
 
     of: Of
     name: str

@@ -57,7 +57,9 @@ def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
 
 
 class PropertyJudge:
-    """Judge of one mission. `findings`: properties in the program's order, then assumptions, then unchecked ones."""
+    """Judge of one mission.
+
+    `findings`: properties in the program's order, then assumptions, then unchecked ones."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         self._meaning, self._mission = meaning, mission
@@ -144,8 +146,9 @@ class PropertyJudge:
         return not (story.out_at(round_) or story.out_at(round_ + 1))
 
     def _missing(self, came: _Evaluation, moment: Observation) -> str:
-        """Describe the unknown value and the trace that lacks it. An assumption reads an unprimed sensor at the round's
-        start, a primed one at its end."""
+        """Describe the unknown value and the trace that lacks it.
+
+        An assumption reads an unprimed sensor at the round's start, a primed one at its end."""
         read = came.why.partition("[")[0]
         name = read.rstrip("'")
         later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)

@@ -1,5 +1,7 @@
-"""Generated properties of a program, the same text that simulators and robots run, and conversion of trace values for
-that code."""
+"""Generated properties of a program, and conversion of trace values for them.
+
+Simulators and robots run the same generated text.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # arguments of a planner: a go
 
 
 class GeneratedProperties:
-    """Generated properties of one program. `types`: types of variables and ports by name. Loads the user's file of
-    extern functions. Raises CannotCall."""
+    """Generated properties of one program.
+
+    `types`: types of variables and ports by name. Loads the user's file of extern functions. Raises CannotCall."""
 
     def __init__(self, program: decl.Program, functions: Path | None) -> None:
         self.program = program
@@ -54,8 +57,9 @@ class GeneratedProperties:
                 raise CannotCall(str(error)) from None
 
     def value(self, name: str, data: Any) -> Any:
-        """Convert the value of a variable or port from a trace. UNKNOWN if it is missing, not exact (null stands for
-        every number that is not finite) or not of the type."""
+        """Convert the value of a variable or port from a trace.
+
+        UNKNOWN if it is missing, not exact (null stands for every number that is not finite) or not of the type."""
         return UNKNOWN if data is UNKNOWN else self._of(data, self.types[name]) if name in self.types else UNKNOWN
 
     def values(self, group: Mapping[str, Any]) -> dict[str, Any]:

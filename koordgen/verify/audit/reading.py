@@ -33,9 +33,11 @@ class TraceFlaw:
 
 @dataclass
 class TraceFile:
-    """One trace file. `names`: the robots in its header by pid; `own`: it belongs to one robot. Lines have pid -1 if
-    their robot is unknown. `family`: the same for all files that one robot wrote in one folder; `age` orders these, the
-    oldest first."""
+    """One trace file.
+
+    `names`: the robots in its header by pid; `own`: it belongs to one robot. Lines have pid -1 if their robot is
+    unknown. `family`: the same for all files that one robot wrote in one folder; `age` orders these, the oldest
+    first."""
 
     path: Path
     app: str
@@ -58,8 +60,9 @@ class TraceFile:
 
 
 def found(given: Path) -> list[Path]:
-    """Return the traces that a name denotes: a file with its earlier parts, the merged trace in a run's folder, or else
-    all traces below a folder. Raises BadTrace."""
+    """Return the trace files that a name denotes. Raises BadTrace.
+
+    They are a file with its earlier parts, or the merged trace in a run's folder, or else all traces below a folder."""
     if not given.is_dir():
         return parts_of(given)
     merged = given / "trace.jsonl"

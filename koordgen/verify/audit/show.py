@@ -20,8 +20,10 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """A finished audit. `proved`: the verdict of `koordgen prove` on each invariant, by its name; None if it was not
-    asked. `ended`: a limit of time ended the audit early."""
+    """A finished audit.
+
+    `proved`: the verdict of `koordgen prove` on each invariant, by its name; None if it was not asked. `ended`: a limit
+    of time ended the audit early."""
 
     program: str  # the program's file
     mission: FleetMission
@@ -37,7 +39,7 @@ class Audit:
 
     @property
     def doubtful(self) -> bool:
-        """Return whether the audit says nothing about the whole mission: something stayed unknown, or is missing."""
+        """Return whether the audit cannot cover the whole mission: something is unknown or missing."""
         return (
             self.ended
             or self.mission.cut
@@ -170,7 +172,9 @@ def sentence(blame: Blame, audit: Audit) -> str:
 
 
 def _gone(blame: Blame, mission: FleetMission) -> str:
-    """Name the robots that had left the model by then, or had gaps in their traces; no proof covers their bodies."""
+    """Name the robots that had left the model by then, or had gaps in their traces.
+
+    No proof covers what these robots did."""
     first = blame.invariant.first
     assert first is not None
     names = [

@@ -53,11 +53,12 @@ class ProcessLife:
 
 @dataclass
 class RobotHistory:
-    """One robot in the mission. `lives`: empty if there is no trace of it. `turns`: at the start of a round its own
-    variables get these values (with `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may
-    have written values without a record. `out`: rounds in which it had stopped; `away`: in which the others had removed
-    it; in both it is outside of the model. `lacks`: parts of its trace are missing; then `since` is the first round
-    that is known."""
+    """One robot in the mission.
+
+    `lives`: empty if there is no trace of it. `turns`: at the start of a round its own variables get these values (with
+    `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may have written values without a
+    record. `out`: rounds in which it had stopped; `away`: in which the others had removed it; in both it is outside of
+    the model. `lacks`: parts of its trace are missing; then `since` is the first round that is known."""
 
     pid: int
     name: str
@@ -179,8 +180,9 @@ def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[Tr
 
 
 def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
-    """Give each part the mission that a later part of the same start names. Records of a robot that restarted before
-    its first round belong to no mission and are left out."""
+    """Give each part the mission that a later part of the same start names.
+
+    Records of a robot that restarted before its first round belong to no mission and are left out."""
     joined: list[ProcessLife] = []
     later: dict[tuple[Path, int, int], ProcessLife] = {}  # the next life in the same files
     for life in reversed(lives):
@@ -228,8 +230,9 @@ def _lives(log: TraceFile) -> Iterator[ProcessLife]:
 
 
 def _chosen(lives: Sequence[ProcessLife]) -> str:
-    """Return the mission that all files have a part in. Files that one robot wrote in one folder count as one. Raises
-    BadTrace if there is none."""
+    """Return the mission that all files have a part in.
+
+    Files that one robot wrote in one folder count as one. Raises BadTrace if there is none."""
     named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, with the last file that names it
     for life in lives:
         if life.mission:
@@ -314,7 +317,7 @@ class _HistoryBuilder:
             story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Begin another part: earlier rounds without a record are unknown, the robot's own variables known again."""
+        """Begin another part of the trace. Unrecorded rounds before it are unknown."""
         story, round_ = self.story, record["round"]
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
@@ -326,7 +329,9 @@ class _HistoryBuilder:
         self.doubt, self.came_back = "", False
 
     def own(self, life: ProcessLife, round_: int) -> bool:
-        """Return whether a round is recorded for the first time. Raises BadTrace if another file records it, too."""
+        """Return whether a round is recorded for the first time.
+
+        Raises BadTrace if another file records it, too."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"

@@ -17,9 +17,11 @@ from koordgen.verify.replay.store import RecordedWrites, had_frame
 
 
 class FleetState:
-    """State of the fleet. `values` by name, as generated properties read them: a list by pid for a local variable, a
-    port and an allread variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last
-    round that was applied; initially the one before the mission's `first`."""
+    """State of the fleet.
+
+    `values` by name, as generated properties read them: a list by pid for a local variable, a port and an allread
+    variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last round that was
+    applied; initially the one before the mission's `first`."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         stories = mission.stories
@@ -42,7 +44,9 @@ class FleetState:
             self._begin()
 
     def _begin(self) -> None:
-        """Set the values before `init`: initial values, actuators unset; an unset target is the robot's position."""
+        """Set the values before `init`: initial values, actuators unset.
+
+        An unset target is the robot's position."""
         found, n = self._meaning.found.program, len(self._stories)
         for variable in (*found.locals, *found.shared):
             first = variable.initial()
@@ -119,7 +123,7 @@ class FleetState:
 
 
 class _Shared:
-    """Shared store after each round: as some robot saw it at the next round's start, else by the recorded writes."""
+    """Shared store after each round: as a robot saw it in the next round, else by recorded writes."""
 
     def __init__(self, meaning: GeneratedProperties, stories: list[RobotHistory], first: int) -> None:
         self._meaning, self._stories = meaning, stories

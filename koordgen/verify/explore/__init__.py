@@ -1,4 +1,4 @@
-"""Explorer: explicit-state search of all runs of a small fleet, with the generated code over packed states.
+"""Explorer: explicit-state search of all runs of a small fleet, with the robots' generated code.
 
 Owns: environments, rounds, search, state-space reductions, the shortest run to a violation.
 Offers: `search`, `show`.

@@ -22,8 +22,10 @@ STRAIGHT: Final = "straight"  # answer of a planner: the path from `position` st
 
 
 class SensorDomain(NamedTuple):
-    """Values of one sensor. `near`: whether a value may follow another one within a round; None: any may. `starts`:
-    values at the beginning; None: all. `seen_from`: computes the value from the robot's position."""
+    """Values of one sensor.
+
+    `near`: whether a value may follow another one within a round; None: any may. `starts`: values at the beginning;
+    None: all. `seen_from`: computes the value from the robot's position."""
 
     values: tuple[Value, ...]
     near: Callable[[Value, Value], bool] | None = None
@@ -36,8 +38,10 @@ class MissingEnvironment(Exception):
 
 
 class Environment(NamedTuple):
-    """Values of ports by "Module.port": `domains` of sensors; possible `answers` of callable ports, values or STRAIGHT.
-    `robots`: environments of single robots, which replace this one. `params`: values that the environment sets."""
+    """Finite environment. Ports are named "Module.port".
+
+    `domains`: values of sensors; `answers`: possible answers of callable ports, values or STRAIGHT; `robots`:
+    environments of single robots, which replace this one; `params`: values that the environment sets."""
 
     domains: Mapping[str, SensorDomain]
     answers: Mapping[str, tuple[Any, ...]]
@@ -50,8 +54,10 @@ class Environment(NamedTuple):
 
 
 def possible_answers(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
-    """Return a function that yields the possible answers of a robot's callable ports, given its sensors' values. It
-    raises MissingEnvironment if the assumptions allow no answer."""
+    """Return a function that yields the possible answers of a robot's callable ports.
+
+    They depend on the values of its sensors. The function raises MissingEnvironment if the assumptions allow no
+    answer."""
     params = initial(program, 1).params
     deciding = {port: _answer_assumptions(program, port) for port in environment.answers}
     read = {port: _sensors(program, rules, port) for port, rules in deciding.items()}
@@ -99,7 +105,7 @@ def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumptio
 
 
 def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
-    """Return the sensors on which answers depend: those in the assumptions, and the start of a straight path."""
+    """Return the sensors on which answers depend: those in assumptions, and the robot's position."""
     found = {f"{n.module}.{n.port}" for rule in rules for n in walk(rule.formula) if isinstance(n, PortRead)}
     return tuple(sorted(found | {position_beside(program, port)}))
 
@@ -136,7 +142,9 @@ class EnvironmentSteps:
         return found
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:
-        """Yield every fleet after the environment's step. Raises MissingEnvironment if an assumption has no value."""
+        """Yield every fleet after the environment's step.
+
+        Raises MissingEnvironment if an assumption has no value."""
         if not self.machine.sensors:
             yield fleet
             return

@@ -29,8 +29,10 @@ PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 
 
 def environment(program: decl.Program, n_sys: int, source: Source | None, report: Report) -> Environment | None:
-    """Return the environment of a file. A bool sensor that the file does not name has both values. None after a mistake
-    was reported. Raises MissingEnvironment."""
+    """Return the environment of a file.
+
+    A bool sensor that the file does not name has both values. None after a mistake was reported. Raises
+    MissingEnvironment."""
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
     called = [name for name, p in ports.items() if p.direction == "callable"]

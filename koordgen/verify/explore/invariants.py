@@ -102,7 +102,7 @@ class Invariants:
             setattr(self._fleet, names.shared[name], self._one[name])
 
     def broken(self, fleet: Packed) -> decl.Property | None:
-        """Return the first invariant that does not hold, or has no value, as with an index that names no robot."""
+        """Return the first invariant that does not hold or has no value; None if all hold."""
         if self._pairs.hold(fleet) and self._whole_hold(fleet):
             return None
         self._take(fleet)

@@ -11,8 +11,9 @@ Wall = tuple[Point, Point]  # the corners of a box, metres, local ENU
 
 
 def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point], tuple[tuple[Point, Scan], ...]]:
-    """Return a function from a position to one scan with `rays` rays around it, from east on, up to `range_` metres.
-    The lidar does not see robots."""
+    """Return a function from a position to one scan of a lidar.
+
+    A scan has `rays` rays around the position, from east on, up to `range_` metres. The lidar does not see robots."""
     angles = tuple([2 * math.pi * k / rays for k in range(rays)])
 
     def look(place: Point) -> tuple[tuple[Point, Scan], ...]:
@@ -23,7 +24,9 @@ def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point]
 
 
 def _way(place: Point, angle: float, wall: Wall) -> float:
-    """Return the distance in metres along a ray at which it enters a box, by its slabs; infinite if it misses."""
+    """Return the distance in metres along a ray at which it enters a box, by its slabs.
+
+    Infinite if it misses."""
     enter, leave = 0.0, math.inf
     lo, hi = wall
     for at, along, low, high in (

@@ -1,4 +1,4 @@
-"""Transition function of one program: the code that robots run, over packed fleets, memoised by what it reads.
+"""Transition function of one program: the code that robots run, over packed and memoised fleets.
 
 A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's private state (locals, ports, whether it
 stopped), then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal
@@ -34,8 +34,9 @@ _numbers = count()
 
 
 class PrivateState(NamedTuple):
-    """One robot's private state; ports by "Module.port". `unset`: sensors that commands clear but no command has
-    cleared yet; they are true until then."""
+    """One robot's private state; ports by "Module.port".
+
+    `unset`: sensors that commands clear but no command has cleared yet; they are true until then."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -45,7 +46,7 @@ class PrivateState(NamedTuple):
 
 
 class RobotStep(NamedTuple):
-    """One possible step of a robot: index of the event, private state and slots afterwards, writes to cells."""
+    """One possible step of a robot: the event's index, its private state, slots and writes afterwards."""
 
     event: int
     own: int
@@ -54,8 +55,10 @@ class RobotStep(NamedTuple):
 
 
 class DiscardedEvent(NamedTuple):
-    """A discarded event (-1: init), or one in which the loop invariant on `line` is false; then `choice` is its result.
-    `seen`: the store that it read, which is slots and cells of a packed fleet."""
+    """A discarded event (-1: `init`), or an event with a false loop invariant.
+
+    `line`: place of the fault or of the loop invariant. `choice`: result of an event with a false loop invariant.
+    `seen`: the store that the event read, which is slots and cells of a packed fleet."""
 
     pid: int
     event: int
@@ -67,15 +70,18 @@ class DiscardedEvent(NamedTuple):
 
 
 class AnswerEnumeration:
-    """Enumeration of an event's runs, one for each combination of port answers. Equal calls get equal answers."""
+    """Enumeration of an event's runs, one for each combination of port answers.
+
+    Equal calls get equal answers."""
 
     def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
         self._answers = answers
         self._raised: Exception | None = None
 
     def runs(self) -> Iterator[None]:
-        """Yield once per combination; the caller then runs the event. Re-raises an exception of the answers, which the
-        run itself would report as a fault of the event."""
+        """Yield once per combination; the caller then runs the event.
+
+        Re-raises an exception of the answers, which the run itself would report as a fault of the event."""
         self._pending: list[tuple[int, ...]] = [()]
         while self._pending:
             self._script = self._pending.pop()
@@ -115,9 +121,10 @@ class Interned(Generic[T]):
 
 
 class Machine:
-    """Transitions of one program in a fleet of `n_sys` robots. Loads the user's file of extern functions if the program
-    has some. `discards`: all discarded events so far; `enabled`: indices of events that had a result. Raises
-    CannotCall."""
+    """Transitions of one program in a fleet of `n_sys` robots.
+
+    Loads the user's file of extern functions if the program has some. `discards`: all discarded events so far;
+    `enabled`: indices of events that had a result. Raises CannotCall."""
 
     def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
         self.program, self.n_sys, self.answer = program, n_sys, answer
@@ -147,8 +154,10 @@ class Machine:
         self.sensor_attributes = {f"{m}.{port}": self.names.ports[m, port] for m, port in self.names.sensors}
 
     def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
-        """Return those of the events that a robot may run by priority: all guards before them in their `priority:`
-        blocks have a value and are false on the store at the round's start."""
+        """Return those of the events that a robot may run by priority.
+
+        All guards before them in their `priority:` blocks have a value and are false on the store at the round's
+        start."""
         robot = self.owns.values[own]
         held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
         return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
@@ -168,8 +177,10 @@ class Machine:
             return True
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
-        """Return the possible steps of a robot on a store: those of the events whose guards hold, without discarded
-        ones. The events have priority, see `prior`."""
+        """Return the possible steps of a robot on a store.
+
+        These are the steps of the events whose guards hold, without discarded ones. The events have priority, see
+        `prior`."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
@@ -199,7 +210,9 @@ class Machine:
             return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
     def after_init(self, fleet: Packed) -> list[Packed]:
-        """Return all possible fleets after every robot's init, each of which runs on the store before all of them."""
+        """Return all possible fleets after every robot's `init`.
+
+        Each `init` reads the store before all of them."""
         init = self.code.init
         if init is None:
             return [fleet]
@@ -232,8 +245,9 @@ class Machine:
         self._look = None
 
     def _looking(self, pid: int, robot: PrivateState, seen: Packed, call: Call) -> Any:
-        """Return the transaction on which guards are evaluated. Guards write nothing, so one object is reused, and only
-        the differences are stored in it."""
+        """Return the transaction on which guards are evaluated.
+
+        Guards write nothing, so one object is reused, and only the differences are stored in it."""
         if self._look is None:
             self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
         look: Any = self._look
@@ -299,7 +313,9 @@ class Machine:
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
 
     def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> RobotStep:
-        """Return the step with an event's effects. A loop invariant that was false in it is added to the discards."""
+        """Return the step with an event's effects.
+
+        A loop invariant that was false in it is added to the discards."""
         choice = self._choice(index, pid, self.owns.values[own], seen, done)
         for line in done.violated[:1]:
             reason = f"the loop invariant on line {line} is false or has no value"

@@ -1,4 +1,4 @@
-"""Invariants about one robot or a pair of robots, evaluated once for each pair, whatever the other robots do.
+"""Invariants about one robot or a pair of robots, evaluated once for each robot and pair.
 
 `forall i in ID: ...` and `forall i, j in ID: ...`, whose formula reads no other robot, is true of a fleet if it is true
 of each robot and pair. The result for all such invariants is memoised for each robot and pair, identified by private
@@ -54,7 +54,9 @@ def pair_formula(formula: ir.Expr) -> PairFormula | None:
 
 
 class PairInvariants:
-    """Invariants about robots and pairs of one machine. `take` stores a fleet's values where formulas read them."""
+    """Invariants about robots and pairs of one machine.
+
+    `take` stores a fleet's values where formulas read them."""
 
     def __init__(
         self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, take: Callable[[Packed], None]

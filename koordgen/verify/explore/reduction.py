@@ -1,4 +1,4 @@
-"""State-space reduction: differences between robots' private states that cannot affect any later step are removed.
+"""State-space reduction: removes differences between private states that affect no later step.
 
 1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
    Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
@@ -30,7 +30,9 @@ MAX_TRIED = 10_000  # most values of one variable that are tried
 
 
 class VariableRead(BaseException):
-    """A variable that counted as unread is read. A BaseException, since Exceptions in generated code are faults."""
+    """A variable that counted as unread is read.
+
+    A BaseException, since Exceptions in generated code are faults."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -83,8 +85,9 @@ def unread_cell(name: str) -> type[rt.Cell[Any]]:
 
 
 def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
-    """Return a subclass of the transactions `begin` that show nothing except the robot's locals, actuators and own
-    slots. `sensors` are the attributes that are removed."""
+    """Return a subclass of `begin` whose transactions show only one robot's own variables.
+
+    These are its locals, actuators and own slots. `sensors` are the attributes that are removed."""
 
     class Alone(begin):  # type: ignore[misc,valid-type]
         def __init__(self, frame: rt.Frame) -> None:
@@ -105,7 +108,7 @@ def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt
 
 
 class StateReduction:
-    """Reduction of one machine's fleets: the removed `locals`, and the `idle` events that use nothing else."""
+    """Reduction of one machine's fleets: removed `locals`, and `idle` events that use nothing else."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -211,7 +214,7 @@ class StateReduction:
 
 
 def _only_variable(event: decl.Event) -> str | None:
-    """Return the only variable that an event reads and writes, if it does nothing else and stands in no block."""
+    """Return the only variable that an event uses, if it does nothing else and is in no block."""
     names, parts = set(), (event.guard, event.effect)
     for node in walk(parts):
         match node:

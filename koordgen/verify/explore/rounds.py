@@ -1,4 +1,4 @@
-"""Ends of a round's program step from a packed fleet: all robots' choices, in every order that matters.
+"""Ends of a round's program step from a packed fleet, in every order of events that matters.
 
 Partial-order reduction: a plain event reads the store of the round's start, so its position in the round does not
 matter. Two events of two robots commute unless both write one allwrite variable, or one of them is atomic and reads
@@ -22,8 +22,10 @@ Predecessor = tuple[Node, int, int]  # predecessor, pid and event of the step fr
 
 
 class EventPhase(NamedTuple):
-    """Events of one phase by index: `alone` read nothing shared but their robot's own slots; other plain ones; other
-    atomic ones. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
+    """Events of one phase, by index.
+
+    `alone`: events that read nothing shared but their robot's own slots; `plain`: other plain events; `atomic`: other
+    atomic events. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
     `priority:` block."""
 
     alone: tuple[int, ...]
@@ -34,8 +36,9 @@ class EventPhase(NamedTuple):
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
-    """Return all events but `idle` ones, in phases that commute with one another. Without `independence`, all events
-    are in one phase that is explored in every order."""
+    """Return all events but `idle` ones, in phases that commute with one another.
+
+    Without `independence`, all events are in one phase that is explored in every order."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
@@ -94,10 +97,12 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 
 
 class RoundExplorer:
-    """Rounds of one machine. A robot's choices are computed once for each private state and store; if robots are
-    `alike`, once for all orders of the others' slots. `representative` returns that of a robot's private state
-    after its step, given its pid and the store; nobody reads that state before the round's end. `as_agents`: only
-    rounds that agents can execute (`is_order_of_agents` of the semantics)."""
+    """Rounds of one machine.
+
+    A robot's choices are computed once for each private state and store; if robots are `alike`, once for all orders of
+    the others' slots. `representative` returns that of a robot's private state after its step, given its pid and the
+    store; nobody reads that state before the round's end. `as_agents`: only rounds that agents can execute
+    (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
@@ -110,8 +115,10 @@ class RoundExplorer:
         self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
-        """Return every fleet that the program's step may end in, skips included, with the robots that have stepped. The
-        first is that in which no robot has. Every fleet within a round is among them, since the others may skip."""
+        """Return every possible end of the program's step, with the robots that have stepped.
+
+        Robots may skip. The first end is that in which no robot has stepped. Every fleet within a round is among the
+        ends, since the other robots may skip."""
         if self.as_agents:
             return self.ends_with_predecessors(fleet)
         found: list[Node] = [(0, fleet)]
@@ -183,8 +190,10 @@ class RoundExplorer:
         return found
 
     def _ways_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the ends of rounds in the agents' order: commits, at most one for each lock, then plain events by
-        ascending pid. All read the round's start, since no commit writes what one under another lock reads."""
+        """Return the ends of rounds in the agents' order.
+
+        Commits come first, at most one for each lock, then plain events by ascending pid. All events read the round's
+        start, since no commit writes what a commit under another lock reads."""
         machine, events = self.machine, self.machine.program.events
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]

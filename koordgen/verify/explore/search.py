@@ -1,4 +1,7 @@
-"""Breadth-first search of the state space, round by round. A violation that is found has the fewest rounds."""
+"""Breadth-first search of the state space, round by round.
+
+A violation that is found has the fewest rounds.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +38,10 @@ class ExplorationBounds(NamedTuple):
 
 
 class ExplorationProgress(NamedTuple):
-    """Progress of an exploration. `depth`: completely explored rounds; `states`: different states at rounds'
-    ends; `waiting`: those whose rounds are still to be explored; `steps`: program steps taken; `seconds`: time
-    spent."""
+    """Progress of an exploration.
+
+    `depth`: completely explored rounds; `states`: different states at rounds' ends; `waiting`: those whose rounds are
+    still to be explored; `steps`: program steps taken; `seconds`: time spent."""
 
     depth: int
     states: int
@@ -47,10 +51,12 @@ class ExplorationProgress(NamedTuple):
 
 
 class FoundViolation(NamedTuple):
-    """A violation with its run. `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the
-    conjunct that is false in the last state; without one `reason` explains the violation, and `culprit` is the event
-    (or init) without a result that would come next. `of_agents`: agents can execute each round
-    (`is_order_of_agents`). `shortest`: the fewest rounds in the language's order, if the agents' order needs more."""
+    """A violation with its run.
+
+    `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the conjunct that is false in the last
+    state; without one `reason` explains the violation, and `culprit` is the event (or init) without a result that would
+    come next. `of_agents`: agents can execute each round (`is_order_of_agents`). `shortest`: the fewest rounds in the
+    language's order, if the agents' order needs more."""
 
     name: str
     line: int
@@ -63,9 +69,11 @@ class FoundViolation(NamedTuple):
 
 
 class ExplorationResult(NamedTuple):
-    """Result of an exploration. `stopped`: the reason why it ended early; empty if everything was explored. `unseen`:
-    events that were never enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry
-    is not used. `forgotten`: locals that nobody reads."""
+    """Result of an exploration.
+
+    `stopped`: the reason why it ended early; empty if everything was explored. `unseen`: events that were never
+    enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry is not used.
+    `forgotten`: locals that nobody reads."""
 
     violation: FoundViolation | None
     progress: ExplorationProgress
@@ -85,9 +93,11 @@ class _LimitReached(Exception):
 
 
 class Search:
-    """One exploration. `clock` returns seconds; `show` receives the progress from time to time. `as_agents`: only
-    rounds that agents can execute. Pids then matter, and every event may stand before another one, so neither symmetry
-    nor reduction is used. `run` raises MissingEnvironment."""
+    """One exploration.
+
+    `clock` returns seconds; `show` receives the progress from time to time. `as_agents`: only rounds that agents can
+    execute. Pids then matter, and every event may stand before another one, so neither symmetry nor reduction is used.
+    `run` raises MissingEnvironment."""
 
     def __init__(
         self, machine: Machine, around: EnvironmentSteps, bounds: ExplorationBounds, clock: Callable[[], float],
@@ -336,7 +346,7 @@ class Search:
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
     def _broken(self, run_states: list[RunState]) -> FoundViolation:
-        """Return the violation of the invariant that is false in the last state, as the semantics evaluates it."""
+        """Return the violation of the invariant that is false in the last state, by the semantics."""
         program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
             if failed := failing_conjunct(property_, program, state):
@@ -344,8 +354,9 @@ class Search:
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> FoundViolation:
-        """Return the violation of an event without a result in a round from `fleet`. The round is explored again with
-        the real robots of each step."""
+        """Return the violation of an event without a result in a round from `fleet`.
+
+        The round is explored again with the real robots of each step."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         self.machine.discards.clear()
@@ -359,7 +370,7 @@ class Search:
         return self._discarded(discard, run_states, at, number)
 
     def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
-        """Return the violation of an event that is tried in the fleet `at`, in round `number` after `run_states`."""
+        """Return the violation of an event in the fleet `at`, in round `number` after `run_states`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             run_states.append(self._false_in(found, found.choice, event, at, number))

@@ -136,7 +136,7 @@ def trace(found: FoundViolation, program: decl.Program, about: About) -> str:
 
 
 def itf(found: FoundViolation, program: decl.Program) -> str:
-    """Return the run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
+    """Return the run in Apalache's Informal Trace Format (ADR-015), for viewers of TLA+ traces."""
     robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
     names = [*own(found.run_states[0].state, 0), "stopped"]

@@ -1,4 +1,4 @@
-"""Symmetry of robots: whether a program treats all robots alike, so that permuted fleets have one representative.
+"""Symmetry: whether a program treats all robots alike, so that permuted fleets are equivalent.
 
 A program is symmetric if nothing in it distinguishes one pid from another: `pid` occurs only as the index of the
 robot's own slot; a whole allread variable only where the order of its slots does not matter (`in`, `count`, `len`, and
@@ -72,7 +72,9 @@ def _first_apart(parts: Iterable[Part], robots: frozenset[str]) -> Span | None:
 
 
 def _may_fail(body: expr.Expr) -> bool:
-    """Return whether a formula may have no value. If so, the order of robots decides the value of a quantifier."""
+    """Return whether a formula may have no value.
+
+    If so, the order of robots decides the value of a quantifier."""
     for node in walk(body):
         match node:
             case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():

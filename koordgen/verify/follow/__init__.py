@@ -1,4 +1,4 @@
-"""Executing a counterexample: plans rounds in which agents can run its steps (`koordgen sim --follow`).
+"""Execution of a counterexample: plans rounds in which agents can run it (`koordgen sim --follow`).
 
 Owns: the plan of such a run.
 Offers: `plan`, `read`.

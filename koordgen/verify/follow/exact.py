@@ -27,8 +27,9 @@ def fraction(data: Any) -> str:
 
 
 def nearest(data: Any) -> float:
-    """Return the float nearest to a number, if it is within the precision of floats. Raises ValueError, TypeError,
-    ArithmeticError, for instance for numbers that are too large or too small."""
+    """Return the float nearest to a number, if it is within the precision of floats.
+
+    Raises ValueError, TypeError, ArithmeticError, for instance for numbers that are too large or too small."""
     if not fraction(data):
         return float(data)
     exact = Fraction(data)
@@ -39,8 +40,10 @@ def nearest(data: Any) -> float:
 
 
 def agree(told: Any, meant: Any, rounded: bool = False) -> bool:
-    """Return whether two values in JSON are equal. Exact numbers, which are texts, need be equal up to rounding only.
-    If the computation `rounded`, so do all floats."""
+    """Return whether two values in JSON are equal.
+
+    Exact numbers, which are texts, need be equal up to rounding only. If the computation `rounded`, so do all
+    floats."""
     if isinstance(told, list) and isinstance(meant, list):
         return len(told) == len(meant) and all(agree(t, m, rounded) for t, m in zip(told, meant, strict=True))
     exact = isinstance(told, str) or (rounded and type(told) in (int, float) and isinstance(meant, float))

@@ -33,7 +33,9 @@ Events = Mapping[int, str]  # by pid
 
 
 class CannotExecute(Exception):
-    """The trace is not of this program, or robots cannot do it; the message gives the reason, `help` a remedy."""
+    """The trace is not of this program, or robots cannot do it.
+
+    The message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -45,8 +47,10 @@ class ModelOnly(CannotExecute):
 
 
 class AgentRound(NamedTuple):
-    """One agents' round. `of`: the round of the trace to which it belongs; `events`: the event that each robot is to
-    try; `free`: robots choose their events themselves; `state`: the state when it begins; `calls` by pid."""
+    """One agents' round.
+
+    `of`: the round of the trace to which it belongs; `events`: the event that each robot is to try; `free`: robots
+    choose their events themselves; `state`: the state when it begins; `calls` by pid."""
 
     of: int
     line: int
@@ -57,9 +61,11 @@ class AgentRound(NamedTuple):
 
 
 class ExecutionPlan(NamedTuple):
-    """Plan of a run. The last of `rounds` has no events, so that the state after the one before it is observed.
-    `found`: the agents' round after whose events (0: after `init`) the trace's violation must occur; `environment`: it
-    must occur after the environment's step that follows."""
+    """Plan of a run.
+
+    The last of `rounds` has no events, so that the state after the one before it is observed. `found`: the agents'
+    round after whose events (0: after `init`) the trace's violation must occur; `environment`: it must occur after the
+    environment's step that follows."""
 
     given: CounterexampleTrace
     rounds: tuple[AgentRound, ...]
@@ -211,7 +217,9 @@ class _Planner:
         )
 
     def stepped(self, acts: list[TraceStep], state: State, world: World) -> State | None:
-        """Return the state after a round of the semantics, in the order of the steps; None if a step has no result."""
+        """Return the state after a round of the semantics, in the order of the steps.
+
+        None if a step has no result."""
         at = state
         for step in acts:
             seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
@@ -222,8 +230,10 @@ class _Planner:
         return at
 
     def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
-        """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first: all in one; the plain
-        ones together among the atomic ones, in their order; for few events, every partition."""
+        """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first.
+
+        First all events in one round; then the plain ones together among the atomic ones, in their order; for few
+        events, every partition."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -238,9 +248,10 @@ class _Planner:
             yield from sorted(_partitions(acts), key=len)
 
     def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
-        """Return the steps of one agents' round, all on the store of its start. None if one of them is impossible, or
-        two need one lock. `begun`: the state at the start of the trace's round, if it is not `state`; it decides which
-        events have priority."""
+        """Return the steps of one agents' round, all on the store of its start.
+
+        None if one of them is impossible, or two need one lock. `begun`: the state at the start of the trace's round,
+        if it is not `state`; it decides which events have priority."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -318,8 +329,9 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """Return the sensors of a robot that commands clear but no command has cleared yet. On robots these are true,
-        whatever a counterexample to induction says."""
+        """Return the sensors of a robot that commands clear but no command has cleared yet.
+
+        On robots these are true, whatever a counterexample to induction says."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
     def compare(self, step: TraceStep, state: State) -> None:

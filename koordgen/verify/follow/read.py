@@ -1,4 +1,7 @@
-"""Parser of a counterexample's trace (written by koordgen/verify/prove/report/trace.py) into steps of a fleet."""
+"""Parser of a counterexample's trace into steps of a fleet.
+
+koordgen/verify/prove/report/trace.py writes such traces.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,10 @@ class RobotRecord(NamedTuple):
 
 
 class TraceStep(NamedTuple):
-    """One step. `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`;
-    without such a robot `pid` is -1."""
+    """One step.
+
+    `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`; without such a
+    robot `pid` is -1."""
 
     line: int
     round: int
@@ -39,8 +44,9 @@ class TraceStep(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """Violation after the last step. `pid` and `event`: the event that would come next and has no result; -1 if there
-    is none."""
+    """Violation after the last step.
+
+    `pid` and `event`: the event that would come next and has no result; -1 if there is none."""
 
     name: str
     line: str
@@ -50,9 +56,11 @@ class Ending(NamedTuple):
 
 
 class CounterexampleTrace(NamedTuple):
-    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ
-    from the program's values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from
-    which on it cannot be read; 0 if all of it can."""
+    """A whole trace.
+
+    `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ from the program's
+    values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from which on it cannot
+    be read; 0 if all of it can."""
 
     path: Path
     app: str

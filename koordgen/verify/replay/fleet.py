@@ -1,4 +1,7 @@
-"""Replay of a whole trace: each robot by itself, and the shared store if all robots of the fleet are in the trace."""
+"""Replay of a whole trace, robot by robot.
+
+If the trace has all robots of the fleet, the shared store is compared, too.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +55,10 @@ def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Differ
 
 
 class Stores:
-    """Shared store of each round, by the writes that all robots recorded: first commits, then plain events by ascending
-    pid. From the round on in which a robot died it is unknown, since the robot may have written without a record."""
+    """Shared store of each round, computed from the writes that all robots recorded.
+
+    Commits are applied first, then plain events by ascending pid. From the round on in which a robot died it is
+    unknown, since the robot may have written without a record."""
 
     def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
         self._writes = RecordedWrites(program, n_sys)

@@ -1,4 +1,4 @@
-"""Extern functions of a program, called by the executable semantics through the generated code, as robots call them."""
+"""Extern functions of a program, called by the semantics through the generated code."""
 
 from __future__ import annotations
 

@@ -19,8 +19,9 @@ class Unsound(ValueError):
 
 
 def sound(record: Mapping[str, Any], line: bytes) -> dict[str, Any]:
-    """Return the fields of a record that the schema knows. `line` is the text of the record, whose kind is in the
-    schema. Raises Unsound."""
+    """Return the fields of a record that the schema knows.
+
+    `line` is the text of the record, whose kind is in the schema. Raises Unsound."""
     kind = record["kind"]
     if kind == "header":
         part = record.get("part", 0)

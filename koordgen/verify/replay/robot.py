@@ -1,4 +1,4 @@
-"""Replay of one robot's rounds: the executable semantics on the robot's recorded inputs, compared with its outputs."""
+"""Replay of one robot's rounds: recorded inputs, and recorded outputs for comparison."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ OVERRAN = "not finished by the round's publish deadline"  # a fault that depends
 
 
 class Difference(NamedTuple):
-    """A difference between trace and program. `told`: the value in the trace; `meant`: the value by the semantics."""
+    """A difference between trace and program.
+
+    `told`: the value in the trace; `meant`: the value by the semantics."""
 
     number: int
     round: int
@@ -51,8 +53,10 @@ class Counts:
 
 @dataclass
 class Replay:
-    """Replay of one robot. `externs` as in World. `followed` as in Trace: if the run executed a counterexample, any
-    enabled event may have been chosen, or none; for a "step", `init` is the first state of the counterexample."""
+    """Replay of one robot.
+
+    `externs` as in World. `followed` as in Trace: if the run executed a counterexample, any enabled event may have been
+    chosen, or none; for a "step", `init` is the first state of the counterexample."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -105,7 +109,9 @@ class Replay:
         self._begun, self._streams = False, []
 
     def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
-        """Begin another part. If the part before it was replayed, its own variables must have their last values."""
+        """Begin another part.
+
+        If the part before it was replayed, its own variables must have their last values."""
         self._store = {}
         if self._begun and record["round"] != self._round:
             self.skip()
@@ -263,7 +269,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
-        """Return the state that this robot saw. Other robots' own variables are unknown, and no event reads them."""
+        """Return the state that this robot saw.
+
+        Other robots' own variables are unknown, and no event reads them."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):

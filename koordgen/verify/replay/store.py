@@ -14,8 +14,9 @@ Shown = Mapping[str, Any]  # a store in JSON; an allread variable is a list by p
 
 
 class RecordedWrites:
-    """Recorded writes of each round. They are applied as agents do: first commits, then plain events by ascending
-    pid."""
+    """Recorded writes of each round.
+
+    They are applied as agents do: first commits, then plain events by ascending pid."""
 
     def __init__(self, program: decl.Program, n_sys: int) -> None:
         self.slots = {v.name for v in program.shared if v.kind == "allread"}
@@ -51,6 +52,8 @@ class RecordedWrites:
 
 
 def had_frame(record: Mapping[str, Any]) -> bool:
-    """Return whether a robot read its copy of the store in a round. It does unless it skips the round before that."""
+    """Return whether a robot read its copy of the store in a round.
+
+    It does unless it skips the round before that."""
     looked = record.get("event") is not None or record.get("fault") is not None
     return looked or record.get("skipped") == NO_EVENT

@@ -21,7 +21,9 @@ KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
 class TraceLine(NamedTuple):
-    """One record with its line number, from 1. In a trace of several parts the numbers continue through the parts."""
+    """One record with its line number, from 1.
+
+    In a trace of several parts the numbers continue through the parts."""
 
     number: int
     pid: int
@@ -30,10 +32,12 @@ class TraceLine(NamedTuple):
 
 @dataclass
 class TraceParts:
-    """One trace. `robots`: the fleet's names by pid; empty for robots whose names the header lacks. `own`: it belongs
-    to the robot `pid` alone. `followed`: "run" or "step" if the run executed a counterexample, else "". `older`: the
-    parts before the one at `path`, oldest first. `lines` reads the records. `cut`: line within which a file ends; 0 if
-    none. `since`: first round that is known if the oldest parts are missing."""
+    """One trace.
+
+    `robots`: the fleet's names by pid; empty for robots whose names the header lacks. `own`: it belongs to the robot
+    `pid` alone. `followed`: "run" or "step" if the run executed a counterexample, else "". `older`: the parts before
+    the one at `path`, oldest first. `lines` reads the records. `cut`: line within which a file ends; 0 if none.
+    `since`: first round that is known if the oldest parts are missing."""
 
     path: Path
     app: str
@@ -124,8 +128,9 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def header_of(path: Path) -> dict[str, Any] | None:
-    """Return the header of a trace in the present format; None if the file has none. Raises OSError, and BadTrace if
-    this version cannot read the format."""
+    """Return the header of a trace in the present format; None if the file has none.
+
+    Raises OSError, and BadTrace if this version cannot read the format."""
     with path.open("rb") as file:
         line = file.readline(LONGEST)
     try:

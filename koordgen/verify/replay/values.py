@@ -38,8 +38,9 @@ Number = Callable[[Any], float]  # raises ValueError, TypeError
 
 
 def from_trace(data: Any, type_: Type, number: Number = float) -> Value:
-    """Convert a value from a trace, whose floats `number` reads. Null stands for a number that is not finite, and
-    becomes NaN. Raises BadValue."""
+    """Convert a value from a trace, whose floats `number` reads.
+
+    Null stands for a number that is not finite, and becomes NaN. Raises BadValue."""
     try:
         return _from_trace(data, type_, number)
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):

@@ -140,8 +140,8 @@ def test_other_files(tmp_path: Path) -> None:
     found(tmp_path, LOST, 2)
     for text, why in (
         ("", "no header of format"), ("{}\n", "no header"), ("[1]\n", "no record"),
-        ("{" * 5000 + "\n", "no line of JSON"),
-        ("\x7fELF\x02\n", ":1: no line of JSON, as traces have them"), ("\udc80\x00\n\x00", ":1: no line of JSON"),
+        ("{" * 5000 + "\n", "not a line of JSON"),
+        ("\x7fELF\x02\n", ":1: not a line of JSON"), ("\udc80\x00\n\x00", ":1: not a line of JSON"),
         ('{"kind": "header", "format": "koord-trace/1"}\n', "not the trace of a counterexample"),
         ('{"kind": "header", "format": "koord-trace/1", "counterexample": "run"}\n', "a broken header"),
     ):  # fmt: skip

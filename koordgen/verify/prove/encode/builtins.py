@@ -1,4 +1,4 @@
-"""Builtins as terms: exact if the logic has them, else uninterpreted functions with some facts about them."""
+"""Builtins as terms: exact if the logic has them, else uninterpreted functions with some facts."""
 
 from __future__ import annotations
 
@@ -86,7 +86,9 @@ def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
 
 
 def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """# SOUND: an uninterpreted function. Nothing is assumed of it but that equal arguments give equal results."""
+    """# SOUND: an uninterpreted function.
+
+    Nothing is assumed of it but that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
         x, one = as_term(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
@@ -189,9 +191,11 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
 def folded(
     e: ExprEncoder, xs: FleetValue, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
 ) -> Term:
-    """Return the sum of `part` over all robots. For any number of robots it is a function of the fleet with these
-    facts: it is zero if all parts are zero, not negative if no part is, at most N_SYS if no part is above one, at least
-    N_SYS if no part is below one. A count is that of the other robots plus this robot's."""
+    """Return the sum of `part` over all robots.
+
+    For any number of robots it is a function of the fleet with these facts: it is zero if all parts are zero, not
+    negative if no part is, at most N_SYS if no part is above one, at least N_SYS if no part is below one. A count is
+    that of the other robots plus this robot's."""
     context = e.context
     found: Term = zero
     if context.robots is not None:

@@ -1,4 +1,4 @@
-"""Proof context: facts, demands, terms that name robots, and universal formulas, gathered while a part is encoded.
+"""Proof context: facts, demands and universal formulas, gathered while a part is encoded.
 
 A symbol has the name of the program's thing. A symbol for anything else contains an `@`, so that names never collide.
 """
@@ -54,9 +54,10 @@ def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[FunctionSymb
 
 
 class Universal:
-    """A formula that holds for every int of a domain. `instance` returns it for one int, with the domain's bounds.
-    `robots`, `places`: whether the ints are robots, places in lists, or both. `inner`: it arose in an instance of
-    another universal."""
+    """A formula that holds for every int of a domain.
+
+    `instance` returns it for one int, with the domain's bounds. `robots`, `places`: whether the ints are robots, places
+    in lists, or both. `inner`: it arose in an instance of another universal."""
 
     def __init__(
         self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
@@ -68,8 +69,10 @@ class Universal:
 
 
 class ProofContext:
-    """Proof context of one part of a program. `robots`: the number of robots, None for any number >= 1; `size`: its
-    term. If `unrolled`, universals are instantiated at each number of a robot, not at terms that name robots."""
+    """Proof context of one part of a program.
+
+    `robots`: the number of robots, None for any number >= 1; `size`: its term. If `unrolled`, universals are
+    instantiated at each number of a robot, not at terms that name robots."""
 
     def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
         self.program, self.robots = program, robots if unrolled else None
@@ -286,7 +289,8 @@ class ProofContext:
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
 
     def instantiate(self) -> None:
-        """Instantiate universals at every term that names a robot, or is a place in a list, until nothing is new.
+        """Instantiate universals at every term that names a robot or a place, until nothing is new.
+
         Inner universals are not instantiated at witnesses: there would be too many pairs of robots."""
         self.instantiating = True
         while True:

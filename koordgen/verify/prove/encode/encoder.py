@@ -30,8 +30,9 @@ class Scope(Protocol):
 
 
 class ExprEncoder(Protocol):
-    """Encoder of expressions, as builtins, sums and quantifiers call it. `strict`: a quantifier demands that its
-    instances have values."""
+    """Encoder of expressions, as builtins, sums and quantifiers call it.
+
+    `strict`: a quantifier demands that its instances have values."""
 
     context: ProofContext
     lists: Lists

@@ -1,4 +1,7 @@
-"""Expressions as terms. Reads go through the scope. Conditions under which an expression has a value are demands."""
+"""Expressions as terms.
+
+Reads go through the scope. Conditions under which an expression has a value are demands.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,9 @@ Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
 
 
 class Encoder:
-    """Encoder of expressions in one context. `call` applies a `fun`, an extern function or a spec function."""
+    """Encoder of expressions in one context.
+
+    `call` applies a `fun`, an extern function or a spec function."""
 
     def __init__(
         self, context: ProofContext, params: dict[str, Val], call: Callable[[str, tuple[Val, ...], ir.Expr], Val]
@@ -171,8 +176,10 @@ class Encoder:
                 return _number(node.op, as_term(left), as_term(right))
 
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
-        """Encode quotient and remainder by a divisor that is no literal as functions. SOUND: the facts about them are
-        exact for dividends below twice the divisor, as steps around a ring need; beyond, only the bounds are known."""
+        """Encode quotient and remainder by a divisor that is no literal as functions.
+
+        SOUND: the facts about them are exact for dividends below twice the divisor, as steps around a ring need;
+        beyond, only the bounds are known."""
         self.context.note(
             "// and % by a divisor that is no literal: exact below twice the divisor; beyond that only the bounds"
         )

@@ -1,4 +1,7 @@
-"""Functions: `fun`s are executed symbolically; extern functions have contracts, spec functions have axioms."""
+"""Functions: `fun`s are executed symbolically.
+
+Extern functions have contracts, spec functions have axioms.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,10 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class Functions:
-    """Functions of a program in one context. `know` receives the head of each loop that is cut. `brief`: add no facts
-    about what such loops leave behind, since most proofs need none."""
+    """Functions of a program in one context.
+
+    `know` receives the head of each loop that is cut. `brief`: add no facts about what such loops leave behind, since
+    most proofs need none."""
 
     def __init__(
         self, context: ProofContext, params: dict[str, Val], know: Callable[[LoopHead], None], brief: bool
@@ -103,8 +108,10 @@ class Functions:
         return frame
 
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        """Encode a call of an extern function: demand what it requires, assume what it ensures. The latter holds where
-        the call is made and has a result, since an event whose call breaks its contract is discarded."""
+        """Encode a call of an extern function: demand what it requires, assume what it ensures.
+
+        The latter holds where the call is made and has a result, since an event whose call breaks its contract is
+        discarded."""
         result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         required, ensured = self.contract(function, args, result)
         for formula in required:

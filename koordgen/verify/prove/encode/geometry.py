@@ -1,4 +1,4 @@
-"""Distances of points and of paths: functions with lemmas, each of which is true of runtime/values/geometry.py.
+"""Distances of points and of paths: functions with lemmas that hold for robots' computations.
 
 Of a path only its first and last point are modelled, and paths of one point. Squares of distances become facts only if
 coordinates occur in other arithmetic (`measured`), or on request (`exact`). All other facts are linear.
@@ -78,12 +78,16 @@ class Geometry:
         return found
 
     def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
-        """Return a pair in the order in which it is written. If `brief`, the point of the acting robot comes first, so
-        that pairs whose parts turn out equal become one term. Any order is right."""
+        """Return a pair in the order in which it is written.
+
+        If `brief`, the point of the acting robot comes first, so that pairs whose parts turn out equal become one term.
+        Any order is right."""
         return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
 
     def _rank(self, term: Term) -> int:
-        """Return the place of the last robot in a term, in the order of the context's robots; -1 without a robot."""
+        """Return the place of the last robot in a term, in the order of the context's robots.
+
+        -1 without a robot."""
         if isinstance(term, t.LiteralTerm):
             return -1
         found = self.ranks.get(term)
@@ -93,7 +97,9 @@ class Geometry:
         return found
 
     def path_distance(self, a: Collection, b: Collection) -> Term:
-        """Return the distance of two paths, in metres. For a path without points it is infinite: an unknown number."""
+        """Return the distance of two paths, in metres.
+
+        For a path without points it is infinite: an unknown number."""
         for one, other in ((a, b), (b, a)):
             if isinstance(one, ConditionalCollection):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
@@ -137,7 +143,9 @@ class Geometry:
         return found
 
     def _from_point(self, point: Triple, q: Term) -> Term | None:
-        """Return the distance of a point from a path; None if it is new and lemmas introduce no more distances."""
+        """Return the distance of a point from a path.
+
+        None if it is new and lemmas introduce no more distances."""
         if q in self.points:
             met = point == self.points[q] or (point, self.points[q]) in self.distances
             return self._distance(point, self.points[q]) if met or not self.settled else None
@@ -200,7 +208,7 @@ class Geometry:
                 self.context.fact(t.at_most(found, t.add(there, back)))
 
     def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
-        """A path of one point near another point: their distances from a path differ by at most that between them."""
+        """Relate the distances from a path of two points that are near each other."""
         some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
         for other, apart in list(self.neighbours.get(point, {}).items()):
             there = self._from_point(other, q)

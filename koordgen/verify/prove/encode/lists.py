@@ -282,8 +282,9 @@ class Lists:
         return t.apply(t.FunctionSymbol(name, tuple([a.sort for a in args]), sort), *args)
 
     def _tell(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
-        """Add facts about the length and some elements of a collection that became a term. SOUND: nothing is added
-        where an update is undefined, as removing an element of an empty list is."""
+        """Add facts about the length and some elements of a collection that became a term.
+
+        SOUND: nothing is added where an update is undefined, as removing an element of an empty list is."""
         named = OpaqueCollection(made, xs.type)
         possible: Term = t.TRUE
         if isinstance(xs, UpdatedCollection):
@@ -299,8 +300,9 @@ class Lists:
                 self.context.fact(t.implies(t.and_(possible, there), same))
 
     def _fleet(self, name: str, xs: FleetValue, sort: Sort) -> Term:
-        """Return the term of all slots of an allread variable in one state. Two such terms are equal, or differ at
-        some robot."""
+        """Return the term of all slots of an allread variable in one state.
+
+        Two such terms are equal, or differ at some robot."""
         found: Term = t.constant(f"{name}@all", sort)
         for other, fleet in self.fleets.items():
             if other is found:

@@ -1,4 +1,4 @@
-"""Loops, analysed from the IR alone: the encoding of each, the variables that it writes, and the facts about turns.
+"""Loops, analysed from the IR alone: encoding, written variables, and facts about turns.
 
 Nothing in this module depends on the encoder, so that the obligations of a program can be counted without encoding it
 (`koordgen/verify/prove/obligations/count.py`). The facts about turns follow from the semantics of loops
@@ -61,8 +61,9 @@ def key_read(node: Node) -> Key | None:
 
 
 def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> LoopEncoding:
-    """Return the encoding of a loop of an event or of `init`. `known`: the params with fixed values; `robots`: the
-    number of robots if each is named by its number, else None.
+    """Return the encoding of a loop of an event or of `init`.
+
+    `known`: the params with fixed values; `robots`: the number of robots if each is named by its number, else None.
 
     unrolled: a `for` without invariants over at most MAX_UNROLLED elements, whose number is constant in the program.
     search: a `for` whose turns write nothing that a later turn can read. The first element that leaves it decides.
@@ -79,8 +80,10 @@ def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) ->
 
 
 def has_loop(block: stmt.Block) -> bool:
-    """Return whether a block contains a loop. Such a block is encoded even if it is unreachable, so that the number of
-    obligations does not depend on what the encoder finds to be impossible."""
+    """Return whether a block contains a loop.
+
+    Such a block is encoded even if it is unreachable, so that the number of obligations does not depend on what the
+    encoder finds to be impossible."""
     return any(isinstance(s, (stmt.For, stmt.While)) for s in statements(block))
 
 
@@ -135,8 +138,9 @@ def written(block: stmt.Block) -> dict[Key, None]:
 
 
 def loop_carried(loop: Loop) -> dict[Key, None]:
-    """Return the loop-carried variables: those that a turn may write on a path to the next turn. Not included: what a
-    turn writes before it leaves the loop, and the loop's own variables."""
+    """Return the loop-carried variables: those that a turn may write on a path to the next turn.
+
+    Not included: what a turn writes before it leaves the loop, and the loop's own variables."""
     own = set(temps_of(loop.block))
     if isinstance(loop, stmt.For):
         own.update(loop.names)
@@ -150,8 +154,9 @@ def has_next_turn(loop: Loop) -> bool:
 
 
 def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
-    """Return the variables written on paths to the block's end or a `continue`; whether a path reaches the end; whether
-    one reaches a `continue`."""
+    """Return the variables written before the block's end or a `continue`, and two facts.
+
+    The second value is whether some path reaches the block's end, the third whether some path reaches a `continue`."""
     so_far: dict[Key, None] = {}  # on paths that reach this statement
     continued: dict[Key, None] = {}  # on paths that ended in a `continue`
     continues = False
@@ -275,8 +280,9 @@ class LoopWrites:
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Return whether a value depends only on the element of its turn (if `element`) and on variables that the loop
-        does not write."""
+        """Return whether a value stays the same if the loop's own writes change.
+
+        It may depend on variables that the loop does not write and, if `element`, on the element of its turn."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
         for part in walk(node):
@@ -316,7 +322,7 @@ def step_of(write: LoopWrite) -> int | None:
 
 
 class RunningExtreme(NamedTuple):
-    """A statement that keeps the least or greatest value of an expression over the turns in which `guards` hold."""
+    """Statement that keeps the least or greatest value over the turns in which `guards` hold."""
 
     write: LoopWrite
     value: ir.Expr
@@ -325,7 +331,9 @@ class RunningExtreme(NamedTuple):
 
 
 def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
-    """Recognise `if value < v: v = value` and `v = min(v, value)`, and likewise the greatest; None for others."""
+    """Recognise a statement that keeps the least or greatest value; None for others.
+
+    Its forms are `if value < v: v = value` and `v = min(v, value)`, and likewise for the greatest."""
     match write.value:
         case ir.Builtin("min" | "max" as name, (left, right)):
             for own, other in ((left, right), (right, left)):

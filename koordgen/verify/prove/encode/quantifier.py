@@ -21,9 +21,11 @@ _EXPANDED = 8  # largest domain whose elements are enumerated
 
 
 class IterationDomain(NamedTuple):
-    """Domain of a quantifier or a `for`. Its places are ints: `start`, `start + step` and so on, before `stop`.
-    `inside`: whether an int is a place of it; `element`: the element at a place; `listed`: all elements, if they can be
-    enumerated. `robots`, `places`: whether its places may name robots, or be places in lists."""
+    """Domain of a quantifier or a `for`.
+
+    Its places are ints: `start`, `start + step` and so on, before `stop`. `inside`: whether an int is a place of it;
+    `element`: the element at a place; `listed`: all elements, if they can be enumerated. `robots`, `places`: whether
+    its places may name robots, or be places in lists."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
@@ -202,7 +204,9 @@ def _speaks_of(term: Term, part: Term) -> bool:
 
 
 def names_robots(body: Part, name: str) -> bool:
-    """Return whether an int may be used as the index of a robot. SOUND: one that is passed on counts as used so."""
+    """Return whether an int may be used as the index of a robot.
+
+    SOUND: one that is passed on counts as used so."""
     for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):

@@ -48,8 +48,10 @@ class FleetScope:
 
 
 class RobotScope(FleetScope):
-    """Scope of an assumption about one robot: its ports before a step, and its primed ports at an instant of the step.
-    `answers`: answers of its callable ports, by port and arguments."""
+    """Scope of an assumption about one robot.
+
+    Its ports are those before a step, its primed ports those at an instant of the step. `answers`: answers of its
+    callable ports, by port and arguments."""
 
     def __init__(
         self, before: SymbolicState, after: SymbolicState, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]

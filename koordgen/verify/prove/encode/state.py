@@ -1,4 +1,4 @@
-"""States of the fleet as terms: uninterpreted functions of the robot's index, overlaid by what an event writes."""
+"""States of the fleet as terms: functions of the robot's index, overlaid by an event's writes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def sensors(program: Program) -> frozenset[Key]:
 
 
 class SymbolicState(Protocol):
-    """One state of the fleet. `of` reads a robot's variable, or a cell whatever the index. `state_name`: its name."""
+    """One state of the fleet.
+
+    `of` reads a robot's variable, or a cell whatever the index. `state_name`: its name."""
 
     @property
     def types(self) -> Mapping[Key, Type]: ...
@@ -52,7 +54,9 @@ class SymbolicState(Protocol):
 
 
 def slots(state: SymbolicState, name: str) -> FleetValue:
-    """Return an allread variable as a whole. States between which nobody wrote the variable give the same value."""
+    """Return an allread variable as a whole.
+
+    States between which nobody wrote the variable give the same value."""
     key = ("slot", name)
     while (isinstance(state, UpdatedState) and key not in state.writes) or (isinstance(state, HavockedState)):
         state = state.before
@@ -84,8 +88,9 @@ class ArbitraryState:
 
 
 class RoundStart:
-    """State at the round's start as the robot `own` sees it within the round. What only `own` writes, and the sensors
-    in `shared`, are as in the state `now`; everything else is as in `other`."""
+    """State at the round's start as the robot `own` sees it within the round.
+
+    What only `own` writes, and the sensors in `shared`, are as in the state `now`; everything else is as in `other`."""
 
     def __init__(self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared

@@ -1,4 +1,4 @@
-"""Symbolic execution of statements: all paths through a block at once, merged at its end by their path conditions.
+"""Symbolic execution of statements: all paths through a block at once, merged at its end.
 
 `loop.py` decides how a loop is encoded. A loop over few elements is unrolled. A loop without loop-carried variables is
 a search: the first element that leaves it, or none. Any other loop is cut at its head: what its turns write is
@@ -44,16 +44,20 @@ Path = tuple[Term, ...]
 
 
 class Exit:
-    """One exit of a block. `kind`: "break", "continue", "return" or "stop". `path`: the condition under which it is
-    taken. `env`: what is written by then."""
+    """One exit of a block.
+
+    `kind`: "break", "continue", "return" or "stop". `path`: the condition under which it is taken. `env`: what is
+    written by then."""
 
     def __init__(self, kind: str, path: Path, env: Env, value: Val | None) -> None:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
 class ProgramPoint(NamedTuple):
-    """One program point of an event while it is encoded: the values there, the path condition, the position, and the
-    demands of the operations before it."""
+    """One program point of an event while it is encoded.
+
+    `frame`: the values there; `path`: the path condition; `position`: that of the facts known there; `demands`: those
+    of the operations before it."""
 
     frame: SymbolicFrame
     path: Term
@@ -67,8 +71,10 @@ class ProgramPoint(NamedTuple):
 
 
 class LoopHead:
-    """Head of one loop that is cut. `entry`: the point before the first turn. `turn`: the head before any turn or after
-    the last one. `back`: the end of a turn that leads to the head again; None if no turn does.
+    """Head of one loop that is cut.
+
+    `entry`: the point before the first turn. `turn`: the head before any turn or after the last one. `back`: the end of
+    a turn that leads to the head again; None if no turn does.
     """
 
     def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: ProgramPoint) -> None:
@@ -78,10 +84,11 @@ class LoopHead:
 
 
 class SymbolicFrame:
-    """Symbolic execution of one effect or function. `now`: the state that is written; `seen`: the state whose shared
-    variables are read; both None in a function. `types`: those of the run's own variables. `know` receives each loop
-    head and adds the facts that hold there. `encoding` chooses the encoding of a loop; without it, the number of its
-    elements does."""
+    """Symbolic execution of one effect or function.
+
+    `now`: the state that is written; `seen`: the state whose shared variables are read; both None in a function.
+    `types`: those of the run's own variables. `know` receives each loop head and adds the facts that hold there.
+    `encoding` chooses the encoding of a loop; without it, the number of its elements does."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: SymbolicState | None, seen: SymbolicState | None,
@@ -148,7 +155,9 @@ class SymbolicFrame:
     # Statements
 
     def block(self, block: stmt.Block) -> Term:
-        """Run statements. Return the condition that the end of the block is reached, given that its beginning is."""
+        """Run statements.
+
+        Return the condition that the end of the block is reached, given that its beginning is."""
         live: Term = t.TRUE
         for place, statement in enumerate(block):
             if live is t.FALSE and not has_loop(block[place:]):
@@ -333,8 +342,10 @@ class SymbolicFrame:
         self.exits = around
 
     def cut(self, loop: Loop, over: IterationDomain | None) -> Term:
-        """Encode a loop by a cut at its head. What the turns write is havocked and constrained by the facts there. One
-        turn from there leads to `back`. If there is no further turn, the loop has ended."""
+        """Encode a loop by a cut at its head.
+
+        What the turns write is havocked and constrained by the facts there. One turn from there leads to `back`. If
+        there is no further turn, the loop has ended."""
         context, index = self.context, None
         if self.now is not None:
             line = loop.span.line
@@ -437,8 +448,10 @@ _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
 def facts_of_turns(head: LoopHead, over: IterationDomain | None, index: Term | None, brief: bool) -> None:
-    """Add the facts known at a loop's head, before any turn or after the last one. `index`: the current place of a
-    `for` in `over`. `brief`: add only the facts about possible places, about writes and about counters."""
+    """Add the facts known at a loop's head, before any turn or after the last one.
+
+    `index`: the current place of a `for` in `over`. `brief`: add only the facts about possible places, about writes and
+    about counters."""
     turns = _Turns(head, over, index)
     with turns.context.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()

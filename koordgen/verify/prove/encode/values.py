@@ -59,7 +59,7 @@ class ConditionalCollection(Node):
 
 
 class UpdatedCollection(Node):
-    """Collection after an update of koordgen/lang/ir/builtins.py ("appended", "updated") with these arguments."""
+    """Collection after an update of koordgen/lang/ir/builtins.py, such as "appended"."""
 
     update: str
     base: Collection
@@ -70,8 +70,10 @@ class UpdatedCollection(Node):
 
 
 class FleetValue(Node):
-    """One value per robot, as a whole. `slot` reads one robot's value; `name` identifies the variable and the state.
-    `changed`: another such value, a robot, and the only value in which it differs, that robot's."""
+    """One value per robot, as a whole.
+
+    `slot` reads one robot's value; `name` identifies the variable and the state. `changed`: another such value, a
+    robot, and the only value in which it differs, that robot's."""
 
     name: str
     slot: Callable[[Term], Val]
@@ -147,8 +149,9 @@ def parts_of(type_: Type) -> tuple[tuple[str, Type], ...] | None:
 
 
 def sort_of(type_: Type) -> Sort:
-    """Return the sort of a type without parts. Strings, maps of places, scans, extern types and collections have sorts
-    of their own, named like the type."""
+    """Return the sort of a type without parts.
+
+    Strings, maps of places, scans, extern types and collections have sorts of their own, named like the type."""
     return _PLAIN.get(type_) or Sort(str(type_))
 
 

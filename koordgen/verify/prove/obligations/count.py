@@ -1,4 +1,6 @@
-"""Expected obligations of a program, counted from the IR alone. The encoder must produce exactly these.
+"""Expected obligations of a program, counted from the IR alone.
+
+The encoder must produce exactly these.
 
 An obligation that the encoder omits would leave a hole in the proof. So the count shares only the decisions that are
 made from the IR (`loops.py`, `encode/loop.py`) with the encoder, and none of its work.
@@ -22,9 +24,11 @@ def expected(
     program: decl.Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None,
     dropped: frozenset[HeadFormula] = frozenset(),
 ) -> Counter[str]:  # fmt: skip
-    """Return the names of the obligations of invariants with the number of times that each occurs: at the mission's
-    start, for each event, for the environment's step, and for each loop that is cut. Obligations of `(well-defined)`
-    and of consistency are not counted: only the encoder finds out how many operations can fail."""
+    """Return the names of the obligations of invariants, with the number of times each occurs.
+
+    There are obligations at the mission's start, for each event, for the environment's step, and for each loop that is
+    cut. Obligations of `(well-defined)` and of consistency are not counted: only the encoder finds out how many
+    operations can fail."""
     problem = ProofProblem(program, robots, params, "little", dropped)
     names = Counter(f"{p.name}-init" for p in problem.invariants)
     for event in program.events:
@@ -37,8 +41,10 @@ def expected(
 
 
 def _at_heads(problem: ProofProblem, owner: str, block: stmt.Block) -> Iterator[str]:
-    """Yield the names of a block's loop obligations: for each formula assumed at a loop's head one at loop entry, and
-    one more if a turn leads to the head again. Those within an unrolled loop occur once per turn."""
+    """Yield the names of a block's loop obligations.
+
+    Each formula assumed at a loop's head has one at loop entry, and one more if a turn leads to the head again. Those
+    within an unrolled loop occur once per turn."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):

@@ -44,8 +44,10 @@ CONSISTENT = ("initially", "environment")  # consistency questions about the ass
 
 
 class Goal(NamedTuple):
-    """One goal of an invariant, in parts. At a loop's head, `at` identifies the head and the formula, and `place` is
-    "entry" or "turn". Only what is known at that place may be used: facts up to `position`, and `demands`."""
+    """One goal of an invariant, in parts.
+
+    At a loop's head, `at` identifies the head and the formula, and `place` is "entry" or "turn". Only what is known at
+    that place may be used: facts up to `position`, and `demands`."""
 
     invariant: str
     conjuncts: tuple[LabelledFormula, ...]
@@ -60,11 +62,13 @@ def obligations(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
     dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
 ) -> list[Obligation]:  # fmt: skip
-    """Return all obligations of a checked program, for `robots` robots or for any number of them. Params have the
-    values in `params`; the others are arbitrary. To drop or add an invariant, pass a program without or with it.
-    `dropped`: formulas that are not assumed at heads of loops. `detail`: how many of the known facts about distances
-    and the round are added. With "most", which is slower to solve, counterexamples satisfy more of them; with "little"
-    there are no cells. `event`: only the obligations of one event, of "init", "(environment)" or a function."""
+    """Return all obligations of a checked program, for `robots` robots or for any number of them.
+
+    Params have the values in `params`; the others are arbitrary. To drop or add an invariant, pass a program
+    without or with it. `dropped`: formulas that are not assumed at heads of loops. `detail`: how many of the known
+    facts about distances and the round are added. With "most", which is slower to solve, counterexamples satisfy
+    more of them; with "little" there are no cells. `event`: only the obligations of one event, of "init",
+    "(environment)" or a function."""
     return [
         obligation
         for group in obligation_groups(program, robots, params, detail, dropped, event)
@@ -87,8 +91,10 @@ def obligation_groups(
 
 
 class Part(NamedTuple):
-    """A part of a program whose obligations share their facts. `write` encodes it. `invariants`: the names of those
-    that have an obligation in it. `block`: the statements that contain its loops."""
+    """A part of a program whose obligations share their facts.
+
+    `write` encodes it. `invariants`: the names of those that have an obligation in it. `block`: the statements that
+    contain its loops."""
 
     kind: Kind
     name: str
@@ -118,7 +124,9 @@ def parts(problem: ProofProblem) -> Iterator[Part]:
 
 
 def encoded(problem: ProofProblem, part: Part) -> list[Obligation]:
-    """Return the obligations of a part. If its formulas are too large, they have no formulas but exist, unproved."""
+    """Return the obligations of a part.
+
+    If its formulas are too large, they have no formulas but exist, unproved."""
     t.count_anew()
     try:
         return part.write()
@@ -137,7 +145,9 @@ def encoded(problem: ProofProblem, part: Part) -> list[Obligation]:
 
 
 def _too_large(problem: ProofProblem, name: str, invariant: str, kind: Kind, part: Part, reason: str) -> Obligation:
-    """Return an obligation whose formulas are too large. Its goal is false, so that no solver can prove it."""
+    """Return an obligation whose formulas are too large.
+
+    Its goal is false, so that no solver can prove it."""
     path, robots = problem.program.path, problem.robots
     goal = None if kind == "consistency" else LabelledFormula(invariant, t.FALSE, path, part.line)
     expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
@@ -198,7 +208,7 @@ def of_function(problem: ProofProblem, function: decl.Function) -> list[Obligati
 
 
 def of_init(problem: ProofProblem) -> list[Obligation]:
-    """Return the obligations of one robot's `init`: it has a result, and formulas hold at the heads of its loops."""
+    """Return the obligations of one robot's `init`: it has a result, and its loop invariants hold."""
     part_encoder, program = PartEncoder(problem), problem.program
     launch = LaunchState(part_encoder)
     run = InitRun(part_encoder, launch, part_encoder.context.acting("pid"))
@@ -269,8 +279,10 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
 
 
 def guarded(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> None:
-    """Assume that the guard holds if all of it has a value. Without that condition, the guard could prove that its own
-    operations have values. The parts before the first such operation are learned without it."""
+    """Assume that the guard holds if all of it has a value.
+
+    Without that condition, the guard could prove that its own operations have values. The parts before the first such
+    operation are learned without it."""
     context = part_encoder.context
     parts: list[Term] = []
     for part in conjuncts(guard):
@@ -282,7 +294,9 @@ def guarded(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> 
 
 
 def environment(problem: ProofProblem) -> list[Obligation]:
-    """Return the environment step's obligations. Each invariant may use that earlier ones hold after the step."""
+    """Return the environment step's obligations.
+
+    Each invariant may use that earlier ones hold after the step."""
     part_encoder = PartEncoder(problem)
     now = ArbitraryState(part_encoder.context, problem.types)
     after = HavockedState(now, ArbitraryState(part_encoder.context, problem.types, "@after"), problem.sensors)
@@ -299,9 +313,11 @@ def environment(problem: ProofProblem) -> list[Obligation]:
 
 
 def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obligation:
-    """Ask whether the assumptions are satisfiable: at the mission's start (params, sensors, spec functions, contracts
-    and answers of callable ports), or in a step of the environment within the invariants. `of_two`: in a fleet of at
-    least two robots, since assumptions that read `pid` may contradict one another for robot 1 but not for robot 0."""
+    """Ask whether the assumptions are satisfiable.
+
+    They are those at the mission's start (params, sensors, spec functions, contracts and answers of callable ports), or
+    those of a step of the environment within the invariants. `of_two`: in a fleet of at least two robots, since
+    assumptions that read `pid` may contradict one another for robot 1 but not for robot 0."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
     context.robot(t.integer(0), known=True)
@@ -327,7 +343,7 @@ def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obliga
 
 
 def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]:
-    """Return the goals of the formulas assumed at heads: each holds at loop entry, and each turn preserves it."""
+    """Return the goals of the formulas assumed at heads: they hold at entry, and turns preserve them."""
     loops = part_encoder.problem.loops
     found = []
     for head in heads:
@@ -370,9 +386,10 @@ class _Output:
         demands: Sequence[LabelledFormula],
         with_cleared_sensors: tuple[LabelledFormula, ...],
     ) -> list[Obligation]:
-        """Return one obligation per goal, and one that every operation has a value. Goals may assume the latter: an
-        event in which an operation has no value is discarded and changes nothing. `ended`: that the effect has reached
-        its end; it is not assumed at a loop's head."""
+        """Return one obligation per goal, and one that every operation has a value.
+
+        Goals may assume the latter: an event in which an operation has no value is discarded and changes nothing.
+        `ended`: that the effect has reached its end; it is not assumed at a loop's head."""
         found = []
         for wanted in goals:
             if wanted.at is None:
@@ -412,8 +429,10 @@ class _Output:
         return replace(found, goal=None, expected="sat")
 
     def before(self, wanted: Goal) -> tuple[LabelledFormula, ...]:
-        """Return the facts that a goal may use: none from later points of the event, and none that says that this
-        invariant, or a later one, holds after the environment's step."""
+        """Return the facts that a goal may use.
+
+        Not among them: facts from later points of the event, and facts that this invariant, or a later one, holds after
+        the environment's step."""
         names = [p.name for p in self.part_encoder.problem.invariants]
         if wanted.invariant in names:
             names = names[names.index(wanted.invariant) :]

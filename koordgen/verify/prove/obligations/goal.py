@@ -35,7 +35,7 @@ def goal(
 def goal_at(
     part_encoder: PartEncoder, name: str, formula: ir.Expr, scope: Scope, guard: Term
 ) -> tuple[LabelledFormula, ...]:
-    """Return the parts of a formula at one point of an event or a function, each under the condition `guard`."""
+    """Return the parts of a formula at a point of an event or function, under the condition `guard`."""
     return _parts(_Goals(part_encoder, name, scope, True), formula, guard)
 
 
@@ -50,9 +50,10 @@ def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[LabelledFormul
 
 
 class _Goals:
-    """Builder of the parts of a goal. After an event, each robot variable is the acting robot or another one. If none
-    is the acting robot, and the formula reads no shared variable, the part is unchanged since before the event and need
-    not be shown."""
+    """Builder of the parts of a goal.
+
+    After an event, each robot variable is the acting robot or another one. If none is the acting robot, and the formula
+    reads no shared variable, the part is unchanged since before the event and need not be shown."""
 
     def __init__(self, part_encoder: PartEncoder, name: str, scope: Scope, bystanders: bool) -> None:
         self.part_encoder, self.context, self.name = part_encoder, part_encoder.context, name
@@ -85,12 +86,16 @@ class _Goals:
                 )
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:
-        """Return whether no robot is the acting one. Where robots are numbers, any of them may be the acting one."""
+        """Return whether no robot is the acting one.
+
+        Where robots are numbers, any of them may be the acting one."""
         by_name = self.context.robots is None and self.context.own is not None
         return by_name and not self.bystanders and self.context.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
-        """Yield one term for any robot; if their number is known, each number. `more`: another quantifier follows."""
+        """Yield one term for any robot; if their number is known, each number.
+
+        `more`: another quantifier follows."""
         context = self.context
         if context.robots is not None:
             yield from [(t.integer(i), t.TRUE) for i in range(context.robots)]
@@ -119,7 +124,7 @@ class _Goals:
 
 
 def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
-    """Return whether a formula reads robots' variables only through the variables of its outer quantifiers."""
+    """Return whether all reads of robots' variables use the variables of outer quantifiers."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)

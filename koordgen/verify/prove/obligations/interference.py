@@ -20,7 +20,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now: SymbolicState) -> None:
-    """Assume for every robot but the acting one how its slots and locals may differ from the round's start."""
+    """Assume for the other robots how their slots and locals may differ from the round's start."""
     context, program = part_encoder.context, part_encoder.problem.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in part_encoder.problem.types if key[0] in ("local", "slot")]
@@ -61,9 +61,10 @@ def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now:
 
 
 def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Term:
-    """Return the parts of an event's guard that held at the round's start for a robot that runs the event in the round.
-    A transaction sees what others wrote since, so only the parts about the robot's own variables count. The guards of
-    events with priority over it were false."""
+    """Return the parts of an event's guard that held at the round's start.
+
+    They held for a robot that runs the event in the round. A transaction sees what others wrote since, so only the
+    parts about the robot's own variables count. The guards of events with priority over it were false."""
     frame = SymbolicFrame(part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.know)
     parts = []
     with part_encoder.context.separate_demands():
@@ -76,9 +77,10 @@ def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event
 
 
 def _is_functional(event: decl.Event, program: decl.Program) -> bool:
-    """Return whether an event's writes are a function of what the robot saw at the round's start. Not so for a
-    transaction, a port's answer, or a loop; nor with extern functions, even within functions, since their contracts
-    hold only where the call is made."""
+    """Return whether an event's writes are a function of what the robot saw at the round's start.
+
+    Not so for a transaction, a port's answer, or a loop; nor with extern functions, even within functions, since their
+    contracts hold only where the call is made."""
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
     bodies = tuple([f.block for f in program.functions])
     calls = any(isinstance(n, ir.ExternCall) for n in walk(bodies))

@@ -48,8 +48,9 @@ class LoopInvariants:
                 yield at, invariant.formula
 
     def candidates(self, loop: Loop) -> Iterator[tuple[HeadFormula, decl.Property]]:
-        """Yield the program's invariants that mention a loop-carried variable, as candidates; in `init`, about the
-        robot itself."""
+        """Yield the program's invariants that mention a loop-carried variable, as candidates.
+
+        In `init` they are stated about the robot itself."""
         owner, number = self.number[id(loop)]
         if owner not in self.events and owner != INIT:
             return

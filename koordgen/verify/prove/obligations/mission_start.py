@@ -35,8 +35,10 @@ def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicStat
 
 
 class LaunchState:
-    """State before any `init`. Sensors are arbitrary, except that those that commands clear are true. An actuator that
-    holds at a sensor has the sensor's value (any, if the program does not declare it), any other its default."""
+    """State before any `init`.
+
+    Sensors are arbitrary, except that those that commands clear are true. An actuator that holds at a sensor has the
+    sensor's value (any, if the program does not declare it), any other its default."""
 
     state_name = "@launch"
 
@@ -69,7 +71,7 @@ class LaunchState:
 
 
 class InitRun:
-    """One robot's `init`: what it writes (`writes`), and the condition that it ends with a result (`ended`)."""
+    """One robot's `init`: its writes, and the condition `ended` that it has a result."""
 
     def __init__(self, part_encoder: PartEncoder, launch: LaunchState, robot: Term) -> None:
         context, init = part_encoder.context, part_encoder.problem.program.init
@@ -93,7 +95,9 @@ class InitRun:
 
 
 class StartState:
-    """State after every robot's `init`. If several robots write an allwrite variable, the highest pid wins."""
+    """State after every robot's `init`.
+
+    If several robots write an allwrite variable, the highest pid wins."""
 
     state_name = "@ready"
 

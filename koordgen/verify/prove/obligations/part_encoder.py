@@ -1,4 +1,4 @@
-"""Assumptions of one part of a program: the proof problem, and the encoder that adds what is assumed as facts."""
+"""Proof problem, and the encoder of one part of a program with its assumptions."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ UNROLLED, PAIRED = 20, 4  # most robots that are named by numbers; the same if f
 
 
 class ProofProblem:
-    """Proof problem: a program, its number of robots (None: any), the params with values, and the detail of facts.
-    `dropped`: formulas that do not hold at heads of loops."""
+    """Proof problem: a program, its number of robots (None: any), and fixed params.
+
+    `detail`: how many of the known facts are added. `dropped`: formulas that do not hold at heads of loops."""
 
     def __init__(
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
@@ -55,14 +56,16 @@ class ProofProblem:
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def changed(self, event: decl.Event) -> set[Key]:
-        """Return the variables that an event may change: those it writes, and the sensors that its commands clear."""
+        """Return the variables that an event may change, including sensors that its commands clear."""
         keys = {key for key in written(event.effect) if key[0] != "temp"}
         commanded = clears(self.program)
         cleared = {("port", sensor) for kind, name in keys if kind == "port" for sensor in commanded.get(name, ())}
         return keys | cleared
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
-        """Return the invariants that mention one of these variables. Frame condition: the others stay unchanged."""
+        """Return the invariants that mention one of these variables.
+
+        Frame condition: the others stay unchanged."""
         return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
@@ -142,9 +145,10 @@ class PartEncoder:
                 self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
     def know(self, head: LoopHead) -> None:
-        """Assume the formulas at a loop's head: before each turn and after the last one, from the head on. SOUND: only
-        for indices that name robots. The formulas contain an `init` also of an index that names none, of which nothing
-        may be assumed."""
+        """Assume the formulas at a loop's head: before each turn and after the last one, from the head on.
+
+        SOUND: only for indices that name robots. The formulas contain an `init` also of an index that names none, of
+        which nothing may be assumed."""
         loops, place, own = self.problem.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
         reached = t.and_(place.reached, self.context.within(own)) if in_event else place.reached
@@ -163,8 +167,10 @@ class PartEncoder:
                     self.assume(formula, scope, reached)
 
     def at_head(self, at: HeadFormula, property_: decl.Property, state: UpdatedState) -> tuple[ir.Expr, FleetScope]:
-        """Return an invariant as it is assumed at a loop's head: in an event, as if the event ended there; in `init`,
-        about the robot itself, since the others may or may not have run theirs."""
+        """Return an invariant as it is assumed at a loop's head.
+
+        In an event it is stated as if the event ended there. In `init` it is stated about the robot itself, since the
+        others may or may not have run theirs."""
         scope, formula = FleetScope(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
@@ -201,8 +207,9 @@ class PartEncoder:
                     self._of_answer(part, port, args, RobotScope(state, state, pid, {(name, args): answer}))
 
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: RobotScope) -> None:
-        """Assume one formula of an answer, unless it has primed ports or actuators: it is about a later instant, when
-        these may have other values."""
+        """Assume one formula about an answer, if it is about the time of the call.
+
+        A formula with primed ports or actuators is about a later instant, when these may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
@@ -228,8 +235,10 @@ class PartEncoder:
                     self.answered(call, args, answer, t.integer(0), state)
 
     def any_axioms(self) -> None:
-        """Instantiate each axiom about all values at the same two arbitrary values of each type, so that axioms can
-        contradict one another. SOUND: these are some of the instances."""
+        """Instantiate each axiom about all values at two arbitrary values of each type.
+
+        The values are the same for all axioms, so that axioms can contradict one another. SOUND: these are some of the
+        instances."""
         values: dict[Type, tuple[Val, Val]] = {}
         for axiom, free, _ in self.problem.axioms:
             for type_ in free.values():
@@ -278,8 +287,9 @@ class PartEncoder:
             self.context.fact(self.encoder.defined(axiom.formula, scope))
 
     def close(self) -> tuple[LabelledFormula, ...]:
-        """Return all facts, after all goals are encoded. Lemmas about distances introduce new distances: for these,
-        lemmas are added once, or twice if `thorough`."""
+        """Return all facts, after all goals are encoded.
+
+        Lemmas about distances introduce new distances: for these, lemmas are added once, or twice if `thorough`."""
         for _ in range(3 if self.thorough else 2):
             many = len(self.context.facts)
             self.context.instantiate()
@@ -290,7 +300,9 @@ class PartEncoder:
         return tuple(self.context.facts)
 
     def cells(self, states: Iterable[tuple[StateName, SymbolicState]]) -> tuple[StateCell, ...]:
-        """Return the variables of the robots that occur, as terms, for counterexamples; none with detail "little"."""
+        """Return the variables of the robots that occur, as terms, for counterexamples.
+
+        None with detail "little"."""
         if self.brief:
             return ()
         lists, found = self.encoder.lists, []

@@ -1,4 +1,4 @@
-"""Explanation of a failed obligation: a counterexample that the semantics reproduces, a run to it, a strengthening."""
+"""Explanation of a failed obligation: counterexample, run to it, and strengthening."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class FailureExplanation(NamedTuple):
 
 
 class Explainer:
-    """Explainer of failed obligations. `proved` is the program with only the PROVED ones of its invariants."""
+    """Explainer of failed obligations.
+
+    `proved` is the program with only the PROVED ones of its invariants."""
 
     def __init__(
         self,
@@ -112,7 +114,9 @@ class Explainer:
         return self.params is None or param not in self.params
 
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
-        """Return a counterexample in the smallest fleet. Raises Unshowable, with the first reason that was met."""
+        """Return a counterexample in the smallest fleet.
+
+        Raises Unshowable, with the first reason that was met."""
         program = exact(relied)
         reasons: list[str] = []
         until = time.monotonic() + SEARCH_SECONDS
@@ -135,8 +139,10 @@ class Explainer:
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: ModelReader) -> Iterator[SolverAnswer]:
-        """Yield models, the most readable ones first: with the params' values in the program and whole numbers, then
-        with whole numbers, then any."""
+        """Yield models, the most readable ones first.
+
+        The first has the params' values in the program and whole numbers, the second whole numbers, the third any
+        values."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
         with_defaults = list(_usual(obligation, program))
@@ -148,7 +154,9 @@ class Explainer:
                 yield answer
 
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
-        """Return all obligations of one event. The formula that failed at a loop's head, if any, is assumed again."""
+        """Return all obligations of one event.
+
+        The formula that failed at a loop's head, if any, is assumed again."""
         key = (program, robots, failed.event, failed.at)
         if key not in self.made:
             dropped = self.dropped - {failed.at}

@@ -143,7 +143,9 @@ def _prime(primed: bool) -> str:
 
 
 def number(value: Fraction | int) -> str:
-    """Return a number exactly if that is readable: digits that end, or a small fraction; else rounded, after `~`."""
+    """Return a number exactly if that is readable: digits that end, or a small fraction.
+
+    Else rounded, after `~`."""
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)

@@ -1,4 +1,4 @@
-"""Assumption ledger: everything that a verdict assumes, and what checks each assumption while robots run."""
+"""Assumption ledger: the assumptions of a verdict, and what checks each while robots run."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ LEMMAS = frozenset((DISTANCES, PATHS))
 
 
 class LedgerEntry(NamedTuple):
-    """One assumption: its kind, its text, its place in the program (line 0: none), and what checks it at run time
-    (empty: nothing)."""
+    """One assumption: its kind, its text, and its place in the program (line 0: none).
+
+    `checked`: what checks it at run time; empty if nothing does."""
 
     kind: str
     text: str
@@ -86,7 +87,9 @@ def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
 
 
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
-    """Return what checks a formula at run time. Nothing can evaluate a `spec fun`, so nothing checks its formulas."""
+    """Return what checks a formula at run time.
+
+    Nothing can evaluate a `spec fun`, so nothing checks its formulas."""
     specs = {spec.name for spec in program.specs}
     return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 

@@ -38,9 +38,10 @@ class Conjunct(NamedTuple):
 
 
 class Counterexample(NamedTuple):
-    """One step from a state in which all invariants hold to a state in which `failed` does not. `begun`: the store at
-    the round's start, which a plain event reads. `pid`: None if all robots moved. `discarded`: the reason why the event
-    has no result, if that is the failure. `seen`: names of the variables in the obligation."""
+    """One step from a state in which all invariants hold to a state in which `failed` does not.
+
+    `begun`: the store at the round's start, which a plain event reads. `pid`: None if all robots moved. `discarded`:
+    the reason why the event has no result, if that is the failure. `seen`: names of the variables in the obligation."""
 
     invariant: str
     kind: str
@@ -70,7 +71,9 @@ class ModelStates:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
     def state(self, moment: StateName) -> State:
-        """Return the fleet in one state. A variable that the obligation does not mention has its initial value."""
+        """Return the fleet in one state.
+
+        A variable that the obligation does not mention has its initial value."""
         first = exact_state(initial(self.program, self.robots))
         locals_ = [dict(robot.locals) for robot in first.robots]
         ports = [dict(robot.ports) for robot in first.robots]
@@ -106,7 +109,9 @@ def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Prog
 
 
 def constant(value: Value, param: decl.Param) -> ir.Expr:
-    """Return a value as an expression. Only the semantics may use it: it takes a constant's value unchecked."""
+    """Return a value as an expression.
+
+    Only the semantics may use it: it takes a constant's value unchecked."""
     return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
 
 
@@ -122,8 +127,10 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def replayed(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
-    """Run the step of a model, as `reader` read it. `program` is exact, and contains the invariants that may be
-    assumed. Raises Unshowable if the run does not show what the solver claims."""
+    """Run the step of a model, as `reader` read it.
+
+    `program` is exact, and contains the invariants that may be assumed. Raises Unshowable if the run does not show what
+    the solver claims."""
     try:
         reading = ModelStates(program, obligation, reader, robots)
         match obligation.kind:
@@ -160,7 +167,7 @@ def _init(reading: ModelStates) -> Counterexample:
 
 
 def _ran_init(reading: ModelStates) -> tuple[State, State, Step | None]:
-    """Return the fleet before and after every robot's `init`, and the first `init` that is discarded, or None."""
+    """Return the fleet before and after every `init`, and the first discarded `init`, or None."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not is_true(property_, reading.program, before):
@@ -190,7 +197,9 @@ def _environment(reading: ModelStates) -> Counterexample:
 def is_allowed(
     program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State
 ) -> bool:
-    """Return whether one robot's step satisfies every assumption. Raises Unshowable if one cannot be evaluated."""
+    """Return whether one robot's step satisfies every assumption.
+
+    Raises Unshowable if one cannot be evaluated."""
     try:
         return all(
             holds_assumption(a, program, old, new, pid, len(state.robots), state.params)

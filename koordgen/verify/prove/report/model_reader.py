@@ -1,4 +1,4 @@
-"""Model reader: the terms of a counterexample that the solver must evaluate, and the program's values for the results.
+"""Model reader: terms that the solver must evaluate, and the program's values for the results.
 
 A model describes a list by the functions for its length and its elements. Only short lists are read.
 """
@@ -66,7 +66,9 @@ class ModelReader:
         self.ask_for_answers()
 
     def ask_for_answers(self) -> None:
-        """Add the answers of callable ports: `Motion.planner@3` is an unknown of the obligation with the number 3."""
+        """Add the answers of callable ports to the terms to evaluate.
+
+        `Motion.planner@3` is an unknown of the obligation with the number 3."""
         for name, function in self.known.items():
             port, mark, number = name.partition("@")
             if mark and number.isdigit() and "." in port and not function.domain and function.result == Sort(str(PATH)):
@@ -205,7 +207,9 @@ def _leaves(type_: Type) -> Iterator[Type]:
 
 
 def flat(value: Any) -> tuple[Term, ...]:
-    """Return the literals of a value's parts, in the order of a cell's terms; empty if a part is no number."""
+    """Return the literals of a value's parts, in the order of a cell's terms.
+
+    Empty if a part is no number."""
     match value:
         case bool():
             return (boolean(value),)

@@ -35,8 +35,10 @@ ENVIRONMENT = "(environment)"
 
 
 class SearchBounds(NamedTuple):
-    """Limits of the search: robots, rounds, states, values of one sensor, moves of the whole fleet, and CPU seconds
-    (which take longer on a busy computer)."""
+    """Limits of the search.
+
+    They are numbers of robots, rounds, states, values of one sensor, and moves of the whole fleet; and CPU seconds,
+    which take longer on a busy computer."""
 
     robots: int = 3
     rounds: int = 6
@@ -47,7 +49,7 @@ class SearchBounds(NamedTuple):
 
 
 class RunState(NamedTuple):
-    """A state of a run, and the step that led to it: "" for the first state, "init", an event, "(environment)"."""
+    """State of a run, with the step to it: "" for the first, "init", an event, "(environment)"."""
 
     state: State
     event: str
@@ -56,7 +58,9 @@ class RunState(NamedTuple):
 
 
 class CounterexampleRun(NamedTuple):
-    """Run from an initial state to one in which an invariant is false. `of_agents`: agents can execute each round."""
+    """Run from an initial state to one in which an invariant is false.
+
+    `of_agents`: agents can execute each round."""
 
     run_states: tuple[RunState, ...]
     failed: Conjunct
@@ -70,9 +74,11 @@ def run_to(
     bounds: SearchBounds,
     robots: int | None = None,
 ) -> CounterexampleRun | None:
-    """Return the first run found, one with the fewest rounds of its fleet; fleets of 1 to `bounds.robots` robots, or of
-    `robots`. `program` is exact. `hints`: additional values of sensors. If agents cannot execute that run, a second
-    search of the same time looks for a run that they can, with no more rounds."""
+    """Return the first run found, one with the fewest rounds of its fleet.
+
+    Fleets of 1 to `bounds.robots` robots, or of `robots`. `program` is exact. `hints`: additional values of
+    sensors. If agents cannot execute that run, a second search of the same time looks for a run that they can, with
+    no more rounds."""
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     known = tuple(hints)
     found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
@@ -163,7 +169,7 @@ class _RunSearch:
                 yield state
 
     def rounds(self, layer: list[tuple[RunState, ...]], seen: list[State]) -> Iterator[tuple[RunState, ...]]:
-        """Extend every run by a round: one event of one robot, or events as agents run them, then the environment."""
+        """Extend every run by one round: events of one robot or of all agents, then the environment."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
@@ -232,15 +238,16 @@ class _RunSearch:
 
 
 class Pools:
-    """Values that the search tries for sensors: for each type at most `count` of those that the program and the hints
-    mention."""
+    """Values that the search tries for sensors.
+
+    For each type they are at most `count` of those that the program and the hints mention."""
 
     def __init__(self, hints: Iterable[Value], mentioned: Iterable[Value], count: int) -> None:
         self.hints, self.mentioned = tuple(hints), tuple(mentioned)
         self.count = count
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
-        """Return values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
+        """Return values of a sensor after a step: commands, its own value, and the pool of its type."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 

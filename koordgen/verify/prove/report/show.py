@@ -70,7 +70,9 @@ def _verdict(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
 
 
 def attacked_states(verdict: InvariantVerdict, attacks: Attacks) -> int:
-    """Return the number of states with which an invariant was attacked. Obligations of one step share their states."""
+    """Return the number of states with which an invariant was attacked.
+
+    Obligations of one step share their states."""
     steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
     return sum(steps.values())
 
@@ -93,7 +95,9 @@ def wrapped(text: str) -> list[str]:
 
 
 def filled(text: str, first: str, rest: str) -> list[str]:
-    """Fill lines with words. `first` and `rest` begin the first and other lines. To import textwrap takes 0.7 ms."""
+    """Fill lines with words.
+
+    `first` and `rest` begin the first and other lines. To import textwrap takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:

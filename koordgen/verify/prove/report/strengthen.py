@@ -24,9 +24,10 @@ Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
 
 
 def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
-    """Return conjuncts in Koord with which the invariant is inductive; empty if none were found. `program` contains
-    this invariant and those that may be assumed. `proves` returns those of the named invariants that are preserved
-    when all invariants of a program are assumed."""
+    """Return conjuncts in Koord with which the invariant is inductive; empty if none were found.
+
+    `program` contains this invariant and those that may be assumed. `proves` returns those of the named invariants that
+    are preserved when all invariants of a program are assumed."""
     for blocks in (True, False):
         found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:
@@ -59,7 +60,9 @@ def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
 
 
 def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
-    """Return candidates. `blocks`: all conjuncts about one variable together form one candidate about another."""
+    """Return candidates.
+
+    `blocks`: all conjuncts about one variable together form one candidate about another."""
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
     known.sort(key=lambda p: p.name != invariant)  # its own predicates first
     present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
@@ -216,8 +219,9 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
 
 
 def with_position_assumptions(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
-    """Add an assumption about each position to which an actuator sends the robot. Return the program with these
-    assumptions, and their texts."""
+    """Add an assumption about each position to which an actuator sends the robot.
+
+    Return the program with these assumptions, and their texts."""
     modules, texts = {m.name: m for m in program.modules}, []
     for module, port in sensors:
         goal = next((p.name for p in module.ports if p.meaning.held == port.name), None)

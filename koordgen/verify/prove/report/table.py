@@ -1,4 +1,4 @@
-"""Counterexamples and runs as tables of robots and variables, at most 100 columns wide, and as data for JSON."""
+"""Counterexamples and runs as tables of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def table(found: Counterexample) -> Iterator[str]:
 
 
 def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
-    """Yield owner, variable, value before and after, for relevant variables: robots' first, then shared ones."""
+    """Yield owner, name, value before and after of relevant variables: robots' first, then shared."""
     before, after = found.before, found.after
     for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
         for name, value in own(before, pid).items():

@@ -38,8 +38,10 @@ Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ..
 
 
 class About(NamedTuple):
-    """Origin of a run: the program's hash ("" if a run has numbers that robots do not have), the params given on the
-    command line, the possible answers of its callable ports, its extern functions."""
+    """Origin of a run.
+
+    `program_hash`: "" if the run has numbers that robots do not have; `given`: the params given on the command line;
+    `answers`: possible answers of its callable ports; `externs`: its extern functions."""
 
     program_hash: str = ""
     given: tuple[str, ...] = ()
@@ -48,9 +50,10 @@ class About(NamedTuple):
 
 
 def trace(program: decl.Program, explanation: FailureExplanation, about: About) -> str:
-    """Return JSON lines: a header, then each step as a round of each robot, with its position if a sensor measures it,
-    and the violation last. Each round takes one second. A number that is no float is a fraction, as text.
-    """
+    """Return the trace of a counterexample as JSON lines; empty if there is none.
+
+    They are a header, then each step as a round of each robot, with its position if a sensor measures it, and the
+    violation last. Each round takes one second. A number that is no float is a fraction, as text."""
     found = explanation.counterexample
     if found is None:
         return ""
@@ -71,8 +74,10 @@ def run_trace(
     program: decl.Program, run_states: tuple[RunState, ...], violated: tuple[str, int, str] | None, about: About,
     culprit: tuple[int, str] | None = None,
 ) -> str:  # fmt: skip
-    """Return the trace of a run. `violated`: the property that its last state violates, its line in the program, and
-    details. `culprit`: the robot and the event that would come next but have no result, if that is the failure."""
+    """Return the trace of a run.
+
+    `violated`: the property that its last state violates, its line in the program, and details. `culprit`: the robot
+    and the event that would come next but have no result, if that is the failure."""
     lines: list[TraceRecord] = [_header(program, run_states, about), *_steps(program, run_states, about)]
     if violated is not None:
         name, line, detail = violated
@@ -191,8 +196,10 @@ def _again(
 
 
 class _Script:
-    """Answers to callable ports in one run of a step. The k-th question gets its `scripted[k]`-th possible answer,
-    later questions the first one. Equal questions get equal answers."""
+    """Answers to callable ports in one run of a step.
+
+    The k-th question gets its `scripted[k]`-th possible answer, later questions the first one. Equal questions get
+    equal answers."""
 
     def __init__(self, about: About, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted

@@ -1,4 +1,4 @@
-"""Verdicts of invariants: asks the solver, drops failed invariants and proves the rest again, explains failures.
+"""Verdicts of invariants: asks the solver, drops failed invariants, proves the rest, explains.
 
 PROVED is given only if every obligation of an invariant got the answer that proves it, with hypotheses that are
 themselves PROVED and assumptions that were shown to be consistent. In all other cases the verdict is a different one.
@@ -28,7 +28,9 @@ MORE: tuple[Detail, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
-    """A checked program, its number of robots (None: any number), and its fixed params. Other params are arbitrary."""
+    """A checked program, its number of robots (None: any number), and its fixed params.
+
+    Other params are arbitrary."""
 
     program: decl.Program
     robots: int | None = None
@@ -36,8 +38,10 @@ class Question(NamedTuple):
 
 
 class SolvedObligations(NamedTuple):
-    """Answers to all obligations, after no formula that is assumed at a loop's head fails any more. `dropped`: such
-    formulas that failed. `lost`: the failed obligations of invariants that the program states at loops."""
+    """Answers to all obligations, after no formula that is assumed at a loop's head fails any more.
+
+    `dropped`: such formulas that failed. `lost`: the failed obligations of invariants that the program states at
+    loops."""
 
     outcomes: list[ObligationResult]
     dropped: frozenset[HeadFormula]
@@ -45,7 +49,9 @@ class SolvedObligations(NamedTuple):
 
 
 class InvariantVerdict(NamedTuple):
-    """Verdict of one invariant. `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
+    """Verdict of one invariant.
+
+    `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
 
     invariant: str
     verdict: VerdictName
@@ -58,7 +64,9 @@ class InvariantVerdict(NamedTuple):
 
 
 def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerdict]:
-    """Return a verdict for each invariant, in the program's order, well-definedness first. Raises SolverMissing."""
+    """Return a verdict for each invariant, in the program's order, well-definedness first.
+
+    Raises SolverMissing."""
     solver.start()
     program = question.program
     asked = _as_for_any(question, program, solver) or _settled(
@@ -97,7 +105,9 @@ def _explained(
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
 ) -> dict[str, FailureExplanation]:
-    """Return explanations of the failed invariants by name. `proved` is the program with only the PROVED invariants."""
+    """Return explanations of the failed invariants by name.
+
+    `proved` is the program with only the PROVED invariants."""
     if not failed:
         return {}
     from koordgen.verify.prove.report.explain import Explainer
@@ -113,7 +123,9 @@ def _settled(
     before: SolvedObligations,
     more: Sequence[Detail] = MORE,
 ) -> SolvedObligations:
-    """Ask all obligations; drop formulas that fail at heads of loops, and ask again, until none fails there."""
+    """Ask all obligations until no formula fails that is assumed at a loop's head.
+
+    Formulas that fail there are dropped, and all obligations are asked again."""
     dropped, lost = before.dropped, dict(before.lost)
     while True:
         outcomes = _asked(question, program, solver, dropped, more)
@@ -133,8 +145,9 @@ def _asked(
     dropped: frozenset[HeadFormula],
     more: Sequence[Detail],
 ) -> list[ObligationResult]:
-    """Return the results of all obligations, with few facts at first. Those that fail are asked again with more facts,
-    if that changes their text."""
+    """Return the results of all obligations, with few facts at first.
+
+    Those that fail are asked again with more facts, if that changes their text."""
     robots, params = question.robots, question.params
     found = [
         ObligationResult(*each)
@@ -149,9 +162,10 @@ def _asked(
 
 
 def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> SolvedObligations | None:
-    """Prove for any number of robots what is asked for one number. What holds for every number holds for this one, and
-    is decided faster. Consistency of the assumptions must still be shown for this number. None if something does not
-    hold for every number."""
+    """Prove for any number of robots what is asked for one number.
+
+    What holds for every number holds for this one, and is decided faster. Consistency of the assumptions must still be
+    shown for this number. None if something does not hold for every number."""
     if question.robots is None:
         return None
     general = _settled(
@@ -195,7 +209,9 @@ def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
 
 
 def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
-    """Return a contradiction among the assumptions, and why consistency is undecided; both empty if it is shown."""
+    """Return a contradiction among the assumptions, and why consistency is undecided.
+
+    Both empty if it is shown."""
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation

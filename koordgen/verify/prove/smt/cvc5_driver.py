@@ -29,7 +29,9 @@ def commands() -> None:
 
 
 def boundary(text: str) -> int:
-    """Return the end of the next text to run: behind its `echo`, which ends each query; -1 if none is complete."""
+    """Return the end of the next text to run: behind its `echo`, which ends each query.
+
+    -1 if none is complete."""
     start = text.find('(echo "')
     end = text.find(")\n", start) if start >= 0 else -1
     return end + 2 if end >= 0 else -1

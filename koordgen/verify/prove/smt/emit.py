@@ -1,4 +1,4 @@
-"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all of them with any solver."""
+"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all of them."""
 
 from __future__ import annotations
 

@@ -16,9 +16,11 @@ StateName = Literal["round start", "before", "after"]
 
 
 class LabelledFormula(Node):
-    """A formula with its origin. `label` describes it ("invariant Geofence", "guard of Assign"); `file` and `line` name
-    its place in the program. `position`: the number of loop heads and loop ends in the event before the place at which
-    the formula is known. A goal uses only facts whose position is at most its own."""
+    """A formula with its origin.
+
+    `label` describes it ("invariant Geofence", "guard of Assign"); `file` and `line` name its place in the program.
+    `position`: the number of loop heads and loop ends in the event before the place at which the formula is known. A
+    goal uses only facts whose position is at most its own."""
 
     label: str
     term: Term
@@ -28,9 +30,11 @@ class LabelledFormula(Node):
 
 
 class StateCell(Node):
-    """One variable of the program in one state. `terms`: the parts of its value, in the order in which `shape` of
-    encode/values.py flattens its type. `robot`: its owner, a term of sort Int; None for an allwrite variable. `name`
-    as the program writes it: "x", "leader", "Motion.position". Params are included."""
+    """One variable of the program in one state.
+
+    `terms`: the parts of its value, in the order in which `shape` of encode/values.py flattens its type. `robot`: its
+    owner, a term of sort Int; None for an allwrite variable. `name` as the program writes it: "x", "leader",
+    "Motion.position". Params are included."""
 
     name: str
     robot: Term | None
@@ -40,8 +44,10 @@ class StateCell(Node):
 
 
 class HeadFormula(NamedTuple):
-    """One formula that is assumed at the head of one loop: the `number`-th loop of `owner` (an event, `init` or a
-    function). `invariant` names an invariant of the program, or the line of an invariant that stands at the loop."""
+    """One formula that is assumed at the head of one loop.
+
+    The loop is the `number`-th one of `owner` (an event, `init` or a function). `invariant` names an invariant of the
+    program, or the line of an invariant that stands at the loop."""
 
     owner: str
     number: int
@@ -49,8 +55,10 @@ class HeadFormula(NamedTuple):
 
 
 class Obligation(Node):
-    """A claim for a solver. If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the
-    goal's negation are unsatisfiable. A consistency obligation has no goal and claims that its facts are satisfiable.
+    """A claim for a solver.
+
+    If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the goal's negation are
+    unsatisfiable. A consistency obligation has no goal and claims that its facts are satisfiable.
 
     `invariant`: the invariant's name, or "(well-defined)". `event`: the event's name, "init", "(environment)" or "".
     `conjuncts`: the goal in parts, so that a counterexample can show which of them fails. `robots`: None for every

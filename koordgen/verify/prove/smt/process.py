@@ -24,8 +24,10 @@ def allowed(memory: int) -> int:
 
 
 class Process:
-    """One child process. `unsent`: input that it has not read yet; `read`: its output; `times`: pairs of the length of
-    `read` and the time when that length was reached."""
+    """One child process.
+
+    `unsent`: input that it has not read yet; `read`: its output; `times`: pairs of the length of `read` and the time
+    when that length was reached."""
 
     def __init__(self, command: Sequence[str], memory: int) -> None:
         """Start the command with at most `memory` megabytes. Raises OSError if it cannot be started."""

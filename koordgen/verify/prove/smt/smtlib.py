@@ -1,4 +1,4 @@
-"""SMT-LIB 2.6 text of obligations: scripts for solvers, and the same formulas for people, with the program's lines.
+"""SMT-LIB 2.6 text of obligations: scripts for solvers, and annotated files for people.
 
 Nothing is rounded: a Fraction that is no decimal becomes a quotient of two decimals. A long subterm that occurs more
 than once gets a name.
@@ -54,7 +54,9 @@ def decimal(value: Fraction) -> str:
 
 
 class Printer:
-    """Printer of the terms of one script. It counts the uses of each subterm first, then prints each subterm once."""
+    """Printer of the terms of one script.
+
+    It counts the uses of each subterm first, then prints each subterm once."""
 
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[Term, int] = {}
@@ -124,8 +126,9 @@ class Printer:
 
 
 def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
-    """Return the script for a solver, without its logic and `check-sat`, and the printed `wanted` terms of a model.
-    `named` calls the facts fact!0, fact!1, ... for unsat cores."""
+    """Return the script of an obligation, and the printed `wanted` terms of a model.
+
+    The script lacks its logic and `check-sat`. `named` calls the facts fact!0, fact!1, ... for unsat cores."""
     facts = [f.term for f in obligation.facts]
     if obligation.goal is not None:
         facts.append(not_(obligation.goal.term))
@@ -145,8 +148,10 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
 
 
 def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
-    """Print obligations that share facts. Return the script of what all of them assume; and for each obligation one
-    script per part of its goal, which asserts that part and the facts that only this obligation assumes."""
+    """Print obligations that share facts.
+
+    Return the script of what all of them assume; and for each obligation one script per part of its goal, which asserts
+    that part and the facts that only this obligation assumes."""
     shared = set.intersection(*({id(fact) for fact in o.facts} for o in room))
     own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in room]
     common = [fact.term for fact in room[0].facts if id(fact) in shared]
@@ -167,7 +172,9 @@ def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tup
 
 
 def document(obligation: Obligation, line: Line) -> str:
-    """Return an obligation as a file for people and for every solver. `line` returns a line of the program."""
+    """Return an obligation as a file for people and for every solver.
+
+    `line` returns a line of the program."""
     goal = obligation.goal
     refuted = [*obligation.facts, *([goal] if goal else [])]
     printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])

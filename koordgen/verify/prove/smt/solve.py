@@ -1,4 +1,4 @@
-"""Solver driver: one process for all queries, over its standard input and output, within limits of time and memory.
+"""Solver driver: one process for all queries, within limits of time and memory.
 
 The answer `unsat` proves an obligation, so it is never assumed: anything but exactly one answer (an error, a crash,
 garbage, silence) gives UNKNOWN with its reason. A process that misbehaved is killed; the next query starts a new one.
@@ -44,8 +44,10 @@ class Batch:
         self.sent += [(obligation, len(each), now) for obligation, each in zip(room, parts, strict=True)]
 
     def answers(self) -> dict[int, tuple[SatResult, float]]:
-        """Return by the obligation's id its result, and the seconds until it arrived. If several answers arrive at
-        once, the first one gets the seconds. Empty if the output is anything but answers. Raises SolverFailed."""
+        """Return by the obligation's id its result, and the seconds until it arrived.
+
+        If several answers arrive at once, the first one gets the seconds. Empty if the output is anything but answers.
+        Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
         said, came = self.solver.rest(MARK, BRIEF * count)
         words, marks = said[::2], said[1::2]
@@ -74,7 +76,9 @@ class SolverMissing(Exception):
 
 
 class Limits(NamedTuple):
-    """Limits in seconds of one query and of all queries of a command; limit of a solver's memory in megabytes."""
+    """Limits in seconds of one query and of all queries of a command.
+
+    Limit of a solver's memory in megabytes."""
 
     query: float = 10.0
     total: float = 60.0
@@ -82,9 +86,11 @@ class Limits(NamedTuple):
 
 
 class SolverAnswer(NamedTuple):
-    """Answer of a solver about one obligation. `reason` explains an unknown result and names a remedy. `values`: the
-    values of the wanted terms, in their order, if the result is `sat`. `core`: if it was asked for, the places in
-    `facts` of those that already contradict one another."""
+    """Answer of a solver about one obligation.
+
+    `reason` explains an unknown result and names a remedy. `values`: the values of the wanted terms, in their order, if
+    the result is `sat`. `core`: if it was asked for, the places in `facts` of those that already contradict one
+    another."""
 
     result: SatResult
     seconds: float
@@ -161,8 +167,9 @@ class Solver:
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
     ) -> SolverAnswer:
-        """Ask whether the facts and the goal's negation are satisfiable together. `most`: seconds for this query, if
-        that is less than the limit of a query. Raises SolverMissing."""
+        """Ask whether the facts and the goal's negation are satisfiable together.
+
+        `most`: seconds for this query, if that is less than the limit of a query. Raises SolverMissing."""
         if obligation.too_large:
             return SolverAnswer("unknown", 0.0, obligation.too_large)
         began = time.monotonic()
@@ -200,9 +207,10 @@ class Solver:
                 raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
     def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
-        """Answer many obligations, as `ask` does. Obligations of one group share most of their facts: z3 gets them in
-        one batch and works on it while the next group is encoded. What z3 leaves undecided in the batch is asked alone.
-        Raises SolverMissing."""
+        """Answer many obligations, as `ask` does.
+
+        Obligations of one group share most of their facts: z3 gets them in one batch and works on it while the next
+        group is encoded. What z3 leaves undecided in the batch is asked alone. Raises SolverMissing."""
         self.start()
         batch = Batch(self)
         found: list[Obligation] = []
@@ -224,8 +232,10 @@ class Solver:
         return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
 
     def parts(self, obligation: Obligation) -> list[Term]:
-        """Return the formulas to refute, one by one. If robots have numbers there are many conjuncts: z3 refutes them
-        one by one in a third of the time of all at once."""
+        """Return the formulas to refute, one by one.
+
+        If robots have numbers there are many conjuncts: z3 refutes them one by one in a third of the time of all at
+        once."""
         if obligation.goal is None:
             return [TRUE]
         numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
@@ -251,8 +261,10 @@ class Solver:
         return SolverAnswer("unsat", 0.0)
 
     def room(self, logic: str, core: bool, model: bool, limit: float) -> str:
-        """Return the commands that begin a query and undo the previous one. z3 solves linear queries within a scope,
-        which saves 2 to 10 ms a query; for other queries a reset lets it choose the tactic for their logic."""
+        """Return the commands that begin a query and undo the previous one.
+
+        z3 solves linear queries within a scope, which saves 2 to 10 ms a query. For other queries a reset lets it
+        choose the tactic for their logic."""
         milliseconds = max(1, int(limit * 1000))
         if self.name == "z3" and logic in LINEAR and not core:
             before, self._left = self._left, "(pop)\n"
@@ -299,8 +311,9 @@ class Solver:
         return self._heard(end, until)
 
     def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
-        """Wait for the end of all output since the last query. Return its lines, and the arrival time of each of the
-        marks in it. Raises SolverFailed."""
+        """Wait for the end of all output since the last query.
+
+        Return its lines, and the arrival time of each of the marks in it. Raises SolverFailed."""
         assert self._process is not None
         self._asked += 1
         end = f"koordgen-{self._asked}"
@@ -328,8 +341,9 @@ class Solver:
         return self._process.take(self._waited(end, until))
 
     def _waited(self, end: str, until: float) -> int:
-        """Send pending commands and read, until the solver has echoed a word. Return where in the output the word
-        begins. Raises SolverFailed."""
+        """Send pending commands and read, until the solver has echoed a word.
+
+        Return where in the output the word begins. Raises SolverFailed."""
         process = self._process
         assert process is not None
         while (ended := _ended(process.read, end.encode())) is None:

@@ -51,8 +51,10 @@ class Apply(Node):
 
 
 class Op(Node):
-    """Operator of the logic, by its name in SMT-LIB: and or not => = ite + - * / div mod < <= to_real to_int.
-    `-` has one or two arguments, `and`, `or`, `+` two or more; `>`, `>=` and `distinct` are written with the others."""
+    """Operator of the logic, by its name in SMT-LIB.
+
+    The names are: and or not => = ite + - * / div mod < <= to_real to_int. `-` has one or two arguments, `and`, `or`,
+    `+` two or more; `>`, `>=` and `distinct` are written with the others."""
 
     name: str
     args: tuple[Term, ...]
@@ -338,7 +340,9 @@ def divide(a: Term, b: Term) -> Term:
 
 
 def floor_divide(a: Term, b: Term) -> Term:
-    """Return `a // b` of ints, floored with Python's signs. SMT-LIB's `div` floors for positive divisors only."""
+    """Return `a // b` of ints, floored with Python's signs.
+
+    SMT-LIB's `div` floors for positive divisors only."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x // y))
