@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from tests.experiment.validate.made import text, window
+from tests.experiment.validate.windows import text, window
 
 NAME = "sim"
 SOURCE = """

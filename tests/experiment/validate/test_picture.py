@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from koordgen.experiment.validate.picture import draw
-from tests.experiment.validate.made import sample, window
+from tests.experiment.validate.windows import sample, window
 
 
 def test_a_row_for_each_platform(tmp_path: Path) -> None:

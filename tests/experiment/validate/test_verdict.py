@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.experiment.validate.samples import FILE, margin, read
 from koordgen.experiment.validate.verdict import AssumptionVerdict, ProbabilityBound, verdicts
-from tests.experiment.validate.made import held, sample, text, window
+from tests.experiment.validate.windows import held, sample, text, window
 
 BOUND = ProbabilityBound(0.05, 0.05)
 

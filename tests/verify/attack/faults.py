@@ -8,7 +8,7 @@ from typing import Any
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.attack.attack import AttackReport, attack
 from koordgen.verify.attack.judge import WELL_DEFINED
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 FAULTS = {
     "a value written before a loop": """

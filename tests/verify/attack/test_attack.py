@@ -15,7 +15,7 @@ from koordgen.verify.prove.smt import term
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.verify.attack.faults import FAULTS, attacked, broken, ticks
 from tests.verify.prove.battery.battery import BATTERY
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
 

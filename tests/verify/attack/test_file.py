@@ -16,7 +16,7 @@ from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
 from koordgen.verify.attack.judge import Contradiction, Trial, TrialJudge, TrialNotCovered, UnusableStep
 from tests.verify.attack.faults import every_name, ticks
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 HASH = "0123456789abcdef"
 RICH = """

@@ -22,7 +22,7 @@ from koordgen.verify.attack.judge import (
 )
 from koordgen.verify.prove.report.model import exact_state
 from tests.verify.attack.faults import attacked, broken
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 # What an event does that has no value, each as a statement; `(well-defined)` promises that none of them happens.
 PROMISED = {

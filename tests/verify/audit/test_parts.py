@@ -11,7 +11,7 @@ import pytest
 from koordgen.cli import main
 from tests.verify.audit.fleets import PROGRAM, audited, conditions
 from tests.verify.audit.test_partly import outcomes
-from tests.verify.replay.kept import Kept
+from tests.verify.replay.parts import Kept
 from tests.verify.replay.runs import Run
 from tests.verify.replay.test_replay import ALL, FUNCTIONS
 

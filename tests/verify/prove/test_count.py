@@ -13,8 +13,8 @@ from koordgen.lang.ir.decl import Program
 from koordgen.verify.prove.obligations.count import expected
 from koordgen.verify.prove.obligations.generate import obligations
 from tests.verify.prove.battery.battery import BATTERY
+from tests.verify.prove.proving import checked
 from tests.verify.prove.randomly.programs import program as random_program
-from tests.verify.prove.told import checked
 
 EXAMPLES = sorted(Path(__file__).parents[3].glob("examples/*/*.koord"))
 LOOPS = """

@@ -280,7 +280,7 @@ class LoopWrites:
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Return whether a value stays the same if the loop's own writes change.
+        """Return whether a value is independent of what the loop writes.
 
         It may depend on variables that the loop does not write and, if `element`, on the element of its turn."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()

@@ -147,14 +147,14 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
     return "\n".join(lines) + "\n", shown
 
 
-def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
+def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
     """Print obligations that share facts.
 
     Return the script of what all of them assume; and for each obligation one script per part of its goal, which asserts
     that part and the facts that only this obligation assumes."""
-    shared = set.intersection(*({id(fact) for fact in o.facts} for o in room))
-    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in room]
-    common = [fact.term for fact in room[0].facts if id(fact) in shared]
+    shared = set.intersection(*({id(fact) for fact in o.facts} for o in group))
+    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in group]
+    common = [fact.term for fact in group[0].facts if id(fact) in shared]
     printer = Printer([*common, *(term for terms in (*own, *parts) for term in terms)])
     lines = list(printer.declarations())
 

@@ -34,14 +34,14 @@ class Batch:
         self.solver = solver
         self.sent: list[tuple[Obligation, int, float]] = []  # obligation, number of goals, time of sending
 
-    def add(self, room: Sequence[Obligation]) -> None:
+    def add(self, group: Sequence[Obligation]) -> None:
         """Send the obligations of one group. Raises SolverFailed."""
-        parts = [self.solver.parts(obligation) for obligation in room]
-        head, goals = together(room, parts)
+        parts = [self.solver.parts(obligation) for obligation in group]
+        head, goals = together(group, parts)
         asked = [f'(push)\n{goal}(check-sat)\n(echo "{MARK}")\n(pop)\n' for each in goals for goal in each]
-        self.solver.send(self.solver.room(room[0].logic, False, False, BRIEF) + head + "".join(asked))
+        self.solver.send(self.solver.preamble(group[0].logic, False, False, BRIEF) + head + "".join(asked))
         now = time.monotonic()
-        self.sent += [(obligation, len(each), now) for obligation, each in zip(room, parts, strict=True)]
+        self.sent += [(obligation, len(each), now) for obligation, each in zip(group, parts, strict=True)]
 
     def answers(self) -> dict[int, tuple[SatResult, float]]:
         """Return by the obligation's id its result, and the seconds until it arrived.
@@ -195,7 +195,7 @@ class Solver:
         if not wanted and not core and len(self.parts(obligation)) > 1:
             return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        said = self._said(self.room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
+        said = self._said(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
             case "unsat":
                 return SolverAnswer("unsat", 0.0, core=self._core(until) if core else ())
@@ -206,7 +206,7 @@ class Solver:
             case _:
                 raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
+    def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
         """Answer many obligations, as `ask` does.
 
         Obligations of one group share most of their facts: z3 gets them in one batch and works on it while the next
@@ -214,12 +214,12 @@ class Solver:
         self.start()
         batch = Batch(self)
         found: list[Obligation] = []
-        for room in rooms:
-            found += room
-            apt = room and all(o.logic in LINEAR and not o.too_large for o in room)
+        for group in groups:
+            found += group
+            apt = group and all(o.logic in LINEAR and not o.too_large for o in group)
             if self.name == "z3" and apt and self._process is not None:
                 try:
-                    batch.add(room)
+                    batch.add(group)
                 except SolverFailed:
                     self.end()
         answers: dict[int, SolverAnswer] = {}
@@ -247,7 +247,7 @@ class Solver:
         parts = self.parts(obligation)
         text, (goals,) = together([obligation], [parts])
         asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
-        said = self._said(self.room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        said = self._said(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
         if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
             raise SolverFailed(
                 f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}"
@@ -260,7 +260,7 @@ class Solver:
             )
         return SolverAnswer("unsat", 0.0)
 
-    def room(self, logic: str, core: bool, model: bool, limit: float) -> str:
+    def preamble(self, logic: str, core: bool, model: bool, limit: float) -> str:
         """Return the commands that begin a query and undo the previous one.
 
         z3 solves linear queries within a scope, which saves 2 to 10 ms a query. For other queries a reset lets it
@@ -418,8 +418,8 @@ class CrossCheck:
         chosen = decided[0] if decided else answers[0]
         return chosen._replace(seconds=sum(a.seconds for a in answers))
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
-        return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
+    def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
+        return [(obligation, self.ask(obligation)) for group in groups for obligation in group]
 
 
 def solver_of(name: str, limits: Limits) -> Solver | CrossCheck:

@@ -29,9 +29,9 @@ from koordgen.verify.replay.functions import CannotCall
 from tests.verify.attack.faults import ticks
 from tests.verify.prove.mutants.catalogue import MUTANTS, Mutant
 from tests.verify.prove.mutants.programs import PROGRAMS, VERDICTS
+from tests.verify.prove.proving import checked, proved_names
 from tests.verify.prove.randomly.judges import Effort, Overtime, _within, explored, ran
 from tests.verify.prove.randomly.programs import program as random_program
-from tests.verify.prove.told import checked, told
 
 SECONDS = 120.0  # in which each mutant is caught
 EFFORT = Effort()
@@ -107,7 +107,7 @@ def fixed(mutant: Mutant, solver: Solver, names: Iterable[str]) -> Caught | None
                 return Caught(found[0], name, found[1], time.monotonic() - began)
         elif name in VERDICTS:
             text, wanted = VERDICTS[name]
-            wrong = told(checked(text), solver) ^ wanted
+            wrong = proved_names(checked(text), solver) ^ wanted
             if wrong:
                 return Caught("battery", name, min(wrong), time.monotonic() - began)
     return None
@@ -149,9 +149,9 @@ def table(solver: Solver, seconds: float, by_random: bool, out: TextIO) -> int:
         else:
             found = caught(mutant, solver, seconds)
         wrong += found is None
-        told = f"{found.judge}: {found.program} ({found.seconds:.1f} s)" if found else f"NOT in {seconds:g} s"
+        proved_names = f"{found.judge}: {found.program} ({found.seconds:.1f} s)" if found else f"NOT in {seconds:g} s"
         kind = "unsound" if mutant.unsound else "weaker"
-        print(f"{mutant.rule:6} {kind:7} {name:76} {told}", file=out, flush=True)
+        print(f"{mutant.rule:6} {kind:7} {name:76} {proved_names}", file=out, flush=True)
     return wrong
 
 

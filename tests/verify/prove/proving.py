@@ -22,7 +22,7 @@ def checked(text: str) -> Program:
         return check_file(str(path)).program
 
 
-def told(program: Program, solver: Solver, robots: int | None = None) -> set[str]:
+def proved_names(program: Program, solver: Solver, robots: int | None = None) -> set[str]:
     """The names of what is proved, failing invariants dropped until none fails; "vacuous" where what is assumed cannot
     be true."""
     while True:
