@@ -111,7 +111,9 @@ def _run(command: list[str], options: Namespace) -> int:
         started[0].send_signal(asked) if started else early.append(asked)
 
     watched = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]  # not with nohup
+    heard = [
+        each for each in watched if signal.getsignal(each) != signal.SIG_IGN
+    ]  # nohup ignores SIGHUP, so the child does, too
     before = {each: signal.signal(each, pass_on) for each in heard}
     try:
         started.append(subprocess.Popen(command, stdout=console.output(options), process_group=0))

@@ -41,7 +41,7 @@ from koordgen.verify.prove.report.trace import About
 from koordgen.verify.replay.functions import CannotCall, externs
 
 ROBOTS = 3  # default, if neither --robots nor a fleet file names a number
-MORE = 10_000  # states that are at least explored in search of a run that agents can execute
+MORE = 10_000  # least limit of states in the search for a run that agents can execute
 
 
 def explore(options: Namespace) -> int:

@@ -155,7 +155,7 @@ def read(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
         raise BadFile(f"its format is not {FORMAT}")
     if top["program"] != program_hash:
         raise BadFile(
-            "it was written for another program, or for another state of this one",
+            "it was written for another program, or for another version of this one",
             "name the very program that it was written for: each change of a program changes its hash",
         )
     proved = file.names(top["proved"], "proved")

@@ -110,8 +110,8 @@ class FleetMission:
     stories: list[RobotHistory]
     notes: list[str]
     cut: bool
-    log: TraceFile  # a file of the program's version, the same for all files
-    step: bool = False  # as of a Log
+    log: TraceFile  # one of the files; all are of the same program
+    step: bool = False  # the run executed a counterexample of one step
 
     @property
     def first(self) -> int:

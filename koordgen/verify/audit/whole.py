@@ -133,7 +133,7 @@ class _Shared:
                 self._writes.add_record(story.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
         self._copies: list[dict[str, Any]] = [{} for _ in stories]  # allread variables by pid
-        self._told: dict[str, Any] = {}  # last `_store` that was converted, in JSON
+        self._told: dict[str, Any] = {}  # the part of `_store` that is in `_values`, in JSON
         self._values: dict[str, Any] = {}
         if first:  # the store before the first record is unknown
             for story in stories:

@@ -23,7 +23,7 @@ from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEn
 from koordgen.verify.explore.lidar import lidar
 
 MAX_VALUES = 100_000  # most values of one port
-ROUNDING = 1e-9  # tolerance as a part of a step: more than rounding adds to a distance of some steps
+ROUNDING = 1e-9  # relative tolerance, larger than the rounding error of a distance
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 

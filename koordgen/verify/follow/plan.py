@@ -305,7 +305,7 @@ class _Planner:
             return {name: from_trace(value, self.types[name], nearest) for name, value in told.items()}
         except BadValue as error:
             raise CannotExecute(
-                f"{self.given.path}:{step.line}: {error} that robots have, nor near to one", SHORT
+                f"{self.given.path}:{step.line}: {error} within the precision of robots' numbers", SHORT
             ) from None
         except KeyError as error:
             raise self.broken(step, f"the program has no {error}") from None

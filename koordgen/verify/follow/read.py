@@ -14,7 +14,7 @@ from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # the limit of koordgen/runtime/net/wire.py, which a test compares
+MOST_ROBOTS = 128  # equal to the limit in koordgen/runtime/net/wire.py; a test compares them
 
 Values = Mapping[str, Any]  # name -> value in JSON
 

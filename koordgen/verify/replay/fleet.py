@@ -78,7 +78,9 @@ class Stores:
             ends[line.pid] = max(ends[line.pid], round_)
             self._writes.add_record(line.pid, record)
         self._until = min(until, min(ends.values()))
-        self._known: dict[int, Shown] = {0: self._writes.after(self._writes.first(), 0)}  # round -> after it
+        self._known: dict[int, Shown] = {
+            0: self._writes.after(self._writes.first(), 0)
+        }  # round -> store after the round
 
     def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """Compare a robot's copy at a round's start with the store after the round before."""
