@@ -52,13 +52,13 @@ def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: 
 
 def _fitting(source: Path, wanted: str) -> Program | None:
     """Return the program in a folder `source/` if it has the hash `wanted`."""
-    found = sorted(source.glob("*.koord"))
-    if len(found) != 1:
+    programs = sorted(source.glob("*.koord"))
+    if len(programs) != 1:
         return None
     try:
         params = source / PARAMS
         given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
-        program = with_params(check_file(str(found[0])).program, given)
+        program = with_params(check_file(str(programs[0])).program, given)
     except (Rejected, BadParam, ValueError):  # of another version of the language
         return None
     functions = functions_file(program, source, None)

@@ -113,10 +113,10 @@ def _sampled(
         return Job(run.number, run.varied, flags, {}, "", True)
 
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
-        made = drive.Bundles(Path(temporary), harness.name, campaigns._builder(options, harness), runs)
+        bundles = drive.Bundles(Path(temporary), harness.name, campaigns._builder(options, harness), runs)
         again = (out / store.PLAN).exists()
         with closing(campaigns._executor(options)) as workers, store.claimed(out, plan, again) as kept:
-            carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
+            carry_out = partial(drive.carry_out, runs, kept, workers, bundles, job, show)
             return kept, campaigns._ended(carry_out, kept, count, line, "the same command")
 
 

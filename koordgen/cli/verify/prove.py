@@ -162,9 +162,9 @@ def files(
 
     made = []
     for number, verdicts in zip(robots, found, strict=True):
-        asked = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
-        wanted = [o for o in obligations(program, number, params) if o.at is None or o.name in asked]
-        made += [replace(asked.get(o.name, o), cells=o.cells) for o in wanted]
+        last = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
+        wanted = [o for o in obligations(program, number, params) if o.at is None or o.name in last]
+        made += [replace(last.get(o.name, o), cells=o.cells) for o in wanted]
     return folder(made, lambda _, line: source.line(line))
 
 
