@@ -19,7 +19,7 @@ from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
-from koordgen.verify.audit.reading import found, opened
+from koordgen.verify.audit.reading import read_trace_file, trace_files
 from koordgen.verify.audit.story import FleetMission, mission
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
@@ -28,7 +28,7 @@ ROBOTS, TRACE = "robots", "trace.jsonl"
 def flown(folder: Path) -> FleetMission:
     """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
     Raises BadTrace."""
-    return mission([opened(path) for path in found(folder / ROBOTS)])
+    return mission([read_trace_file(path) for path in trace_files(folder / ROBOTS)])
 
 
 def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:

@@ -46,7 +46,7 @@ def campaign(options: Namespace) -> int:
         if count is None:
             raise vary.BadVary("say how many runs with --runs N")
         runs = plan.runs(varied, count, harness.settings)
-        _fitting(runs, harness)
+        _check_variation(runs, harness)
     except vary.BadVary as error:
         way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
         raise console.Failure(console.USAGE, str(error), way) from None
@@ -65,11 +65,11 @@ def campaign(options: Namespace) -> int:
     show = (lambda _: None) if options.quiet else line.show
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, _builder(options, harness), runs)
-        _accepted(made.of(runs[0]), _telling(runs, vary.cells(varied)), fixed, harness)
+        _check_accepted(made.of(runs[0]), _representative_runs(runs, vary.cells(varied)), fixed, harness)
         try:
             with closing(_executor(options)) as workers, store.claimed(out, wanted, options.resume) as kept:
                 job = _jobs(options, out, fixed, harness, scenarios)
-                carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
+                carry_out = partial(drive.execute_runs, runs, kept, workers, made, job, show)
                 ended = _ended(carry_out, kept, count, line)
                 _show_table(options, kept, app, count, vary.cells(varied), ended is None)
         except (store.FolderUnusable, executor.ClusterUnreachable) as error:
@@ -143,7 +143,7 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
     return build
 
 
-def _fitting(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
+def _check_variation(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
     """Check that the named things may vary, and that the manifest allows the values of settings.
 
     Raises BadVary."""
@@ -175,7 +175,7 @@ def _scenarios(runs: Sequence[plan.PlannedRun], bundle: Mapping[str, bytes]) -> 
     return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
-def _telling(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
+def _representative_runs(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
     """Return the runs in which each value of a list occurs once, and the last run."""
     seen: set[tuple[str, str]] = set()
     found = []
@@ -187,7 +187,7 @@ def _telling(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]
     return found if runs[-1] in found else [*found, runs[-1]]
 
 
-def _accepted(bundle: Path, runs: Sequence[plan.PlannedRun], fixed: Sequence[str], harness: Target) -> None:
+def _check_accepted(bundle: Path, runs: Sequence[plan.PlannedRun], fixed: Sequence[str], harness: Target) -> None:
     """Check that the bundle accepts the options of these runs. Nothing is run. Raises Failure."""
     for run in runs:
         flags = [*fixed, *_flags(run)]

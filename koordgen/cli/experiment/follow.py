@@ -16,7 +16,7 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.exact import agree, nearest
-from koordgen.verify.follow.plan import CannotExecute, ModelOnly, document, planned
+from koordgen.verify.follow.plan import CannotExecute, ModelOnly, document, make_plan
 from koordgen.verify.follow.read import CounterexampleTrace, read
 from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.values import BadValue, from_trace, plain
@@ -24,7 +24,7 @@ from koordgen.verify.replay.values import BadValue, from_trace, plain
 REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")
 
 
-def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
+def plan_of_trace(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     """Return the params that only the trace has, and the plan for the bundle. Raises Rejected, Failure."""
     for name in REFUSED:
         if getattr(options, name) not in (None, False):
@@ -36,7 +36,7 @@ def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     program, more = _program(options, given)
     program_hash, functions = hash_of(program, options.program, options.functions)
     try:
-        return more, document(planned(program, given, externs(program, functions)), program_hash)
+        return more, document(make_plan(program, given, externs(program, functions)), program_hash)
     except CannotExecute as error:
         raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
     except CannotCall as error:

@@ -94,9 +94,9 @@ def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None
     """Return the params of a counterexample to execute, and the plan for the bundle; None without one."""
     if options.follow is None:
         return {}, None
-    from koordgen.cli.experiment.follow import following
+    from koordgen.cli.experiment.follow import plan_of_trace
 
-    return following(options)
+    return plan_of_trace(options)
 
 
 def _run(command: list[str], options: Namespace) -> int:

@@ -23,7 +23,7 @@ from koordgen.experiment.campaign.plan import VALIDATION, CampaignPlan, PlannedR
 from koordgen.experiment.campaign.task import Job
 from koordgen.experiment.validate import picture, samples, table
 from koordgen.experiment.validate.probe import BadProbe
-from koordgen.experiment.validate.reach import ReachsetRequest, comparisons, reachsets, written
+from koordgen.experiment.validate.reach import ReachsetRequest, comparisons, reachsets, write_files
 from koordgen.experiment.validate.suggest import Suggestion, suggestions
 from koordgen.experiment.validate.verdict import AssumptionVerdict, Case, ProbabilityBound, verdicts
 from koordgen.fleet import manifest
@@ -52,9 +52,9 @@ def validate(options: Namespace) -> int:
     line = Line(sys.stderr)
     try:
         kept, ended = _sampled(aside, harness, bundles[harness.name], app, count, out, line)
-        found = _found(options, checked, bundles[harness.name], kept, count, ended is None, line)
+        found = _report(options, checked, bundles[harness.name], kept, count, ended is None, line)
         reach = _reachsets(aside, out, line) if options.reachsets and ended is None else {}
-        _tell(options, found, out, ended is None, reach)
+        _print_report(options, found, out, ended is None, reach)
     except (store.FolderUnusable, ClusterUnreachable) as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
@@ -64,7 +64,7 @@ def validate(options: Namespace) -> int:
     return STATUS[found.verdict]
 
 
-def _found(
+def _report(
     options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
     whole: bool, line: Line,
 ) -> table.ValidationReport:  # fmt: skip
@@ -116,7 +116,7 @@ def _sampled(
         bundles = drive.Bundles(Path(temporary), harness.name, campaigns._builder(options, harness), runs)
         again = (out / store.PLAN).exists()
         with closing(campaigns._executor(options)) as workers, store.claimed(out, plan, again) as kept:
-            carry_out = partial(drive.carry_out, runs, kept, workers, bundles, job, show)
+            carry_out = partial(drive.execute_runs, runs, kept, workers, bundles, job, show)
             return kept, campaigns._ended(carry_out, kept, count, line, "the same command")
 
 
@@ -169,10 +169,12 @@ def _suggested(
 
 def _reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
 
-    return made(options, out, line)
+    return make_reachsets(options, out, line)
 
 
-def _tell(options: Namespace, found: table.ValidationReport, out: Path, whole: bool, reach: Mapping[str, Any]) -> None:
+def _print_report(
+    options: Namespace, found: table.ValidationReport, out: Path, whole: bool, reach: Mapping[str, Any]
+) -> None:
     def commands(case: Case) -> tuple[str, str]:
         folder = out / store.RUNS / f"{case.run:04d}"
         return _command(options, case.seed, Path(f"{folder}-again")), shlex.join(["koordgen", "replay", str(folder)])
@@ -200,7 +202,7 @@ def _tell(options: Namespace, found: table.ValidationReport, out: Path, whole: b
 FOLDER, RUNS = "reachsets", "probes"
 
 
-def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+def make_reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
     """Return the files and the comparisons of the platforms for JSON; `text` is for people.
 
     Each call computes them again. Raises OSError, ClusterUnreachable."""
@@ -211,7 +213,7 @@ def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
         with closing(campaigns._executor(options)) as executor, campaigns._noticed_signals() as noticed:
             runs = store.cleared(folder / RUNS)
             found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(noticed))
-        files = written(found, folder)
+        files = write_files(found, folder)
     except BadProbe as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except drive.DiskFull:

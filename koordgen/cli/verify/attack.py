@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 LEAST = 0.001  # seconds at least for each number of robots
 
 
-def attacked(
+def attack_verdicts(
     program: Program,
     params: Mapping[str, Expr],
     found: list[list[InvariantVerdict]],
@@ -34,7 +34,7 @@ def attacked(
     left, made = options.attack, []
     for place, verdicts in enumerate(found):
         share = max(left / (len(found) - place), LEAST) if options.attack else 0.0
-        attacks, contradiction, spent = _attacked(program, params, verdicts, solver, share)
+        attacks, contradiction, spent = _attack_one(program, params, verdicts, solver, share)
         made.append(attacks)
         left -= spent
         if contradiction is not None:
@@ -43,7 +43,7 @@ def attacked(
     return made
 
 
-def _attacked(
+def _attack_one(
     program: Program,
     params: Mapping[str, Expr],
     verdicts: list[InvariantVerdict],
@@ -96,14 +96,14 @@ def _where(contradiction: Contradiction) -> str:
 def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contradiction: Contradiction) -> None:
     """Write the contradiction to a file, and ask the user to report it."""
     from koordgen.build.emit.program import program_hash
-    from koordgen.verify.attack.file import written
+    from koordgen.verify.attack.file import to_text
 
     name = f"{program.name}.unsound.json"
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
     told = "this is a mistake of koordgen, not of your program"
     try:
         with open(name, "w", encoding="utf-8") as file:
-            file.write(written(contradiction, proved, program_hash(program), program.path))
+            file.write(to_text(contradiction, proved, program_hash(program), program.path))
     except OSError as error:
         say(f"error: {name}: {error.strerror or error}\n  help: {told}: please report {path}, with this command")
         return
@@ -114,12 +114,12 @@ def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contr
     )
 
 
-def again(options: Namespace) -> int:
+def attack_from_file(options: Namespace) -> int:
     """`--attack-from`: run the state in a file again, and show the steps."""
     from koordgen.build.emit.program import program_hash
     from koordgen.build.pipeline import check_file
     from koordgen.lang.semantics.exact import exact
-    from koordgen.verify.attack.file import MOST_BYTES, BadFile, read
+    from koordgen.verify.attack.file import MOST_BYTES, BadFile, read_trial
     from koordgen.verify.attack.judge import TrialJudge, TrialNotCovered, UnusableStep
 
     program = check_file(options.program).program
@@ -131,7 +131,7 @@ def again(options: Namespace) -> int:
         raise Failure(WRONG, f"{name}: {error.strerror or error}", "name a file that exists") from None
     model = exact(program)
     try:
-        given = read(data, model, program_hash(program))
+        given = read_trial(data, model, program_hash(program))
         judge = TrialJudge(model, given.proved, lambda *_: ())
         replayed = judge.replay(given.trial)
     except BadFile as error:

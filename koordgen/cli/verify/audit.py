@@ -19,7 +19,7 @@ from koordgen.verify.audit import blame, clocks, faults, monitors
 from koordgen.verify.audit.finding import PropertyResult
 from koordgen.verify.audit.judge import PropertyJudge
 from koordgen.verify.audit.meaning import GeneratedProperties
-from koordgen.verify.audit.reading import found, opened
+from koordgen.verify.audit.reading import read_trace_file, trace_files
 from koordgen.verify.audit.show import Audit, document, report
 from koordgen.verify.audit.story import FleetMission, mission
 from koordgen.verify.replay.functions import CannotCall
@@ -33,8 +33,8 @@ def audit(options: Namespace) -> int:
     if options.plot and Path(options.plot).suffix not in PICTURES:
         raise Failure(USAGE, f"--plot {options.plot}: a name that ends in {', '.join(PICTURES)} is expected")
     try:
-        paths = list(dict.fromkeys(path for given in options.traces for path in found(Path(given))))
-        logs = [opened(path) for path in paths]
+        paths = list(dict.fromkeys(path for given in options.traces for path in trace_files(Path(given))))
+        logs = [read_trace_file(path) for path in paths]
         whole = mission(logs)
         program, functions = program_of(options, whole.log.path, whole.log.program_hash)
         judged, ended = _judged(program, functions, whole, options.seconds)
@@ -91,7 +91,7 @@ def _judged(
 def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
     late = faults.late(whole)
     overran = [f"{late} event{'s' * (late != 1)} were discarded because they took too long"] if late else []
-    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compared(judged, whole)]
+    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compare_monitors(judged, whole)]
 
 
 def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:

@@ -37,7 +37,7 @@ from koordgen.verify.explore.search import (
     Search,
 )
 from koordgen.verify.explore.show import document, itf, progress_text, report, trace
-from koordgen.verify.prove.report.trace import About
+from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs
 
 ROBOTS = 3  # default, if neither --robots nor a fleet file names a number
@@ -54,7 +54,7 @@ def explore(options: Namespace) -> int:
         around = _environment(options, checked.program, robots)
         given = {**from_fleet, **around.params, **params(options.param)}
         program = with_params(checked.program, given)
-        result = _searched(options, program, robots, around, lambda: _about(options, program, robots, around, given))
+        result = _search(options, program, robots, around, lambda: _origin(options, program, robots, around, given))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except MissingEnvironment as error:
@@ -66,21 +66,21 @@ def explore(options: Namespace) -> int:
         sys.stdout.flush()
     if result.violation is not None:  # the result is printed first: a failed write loses nothing of a long search
         if options.trace:
-            about = _about(options, program, robots, around, given)
+            about = _origin(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     return _status(result)
 
 
-def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
+def _origin(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> RunOrigin:
     """Return the origin of a run that was found."""
     hashed, functions = hash_of(program, options.program, options.functions)
-    return About(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
+    return RunOrigin(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
 
 
-def _searched(
-    options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], About]
+def _search(
+    options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], RunOrigin]
 ) -> ExplorationResult:
     line = Line(sys.stderr)
 
@@ -138,7 +138,7 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
     return ExplorationBounds(rounds, min(states, bounds.states or states), seconds)
 
 
-def _of_agents(found: FoundViolation, program: Program, about: About, seconds: float | None) -> bool:
+def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
     """Return whether agents can execute each round of a run, including an event without a result.
 
     False if that takes more than `seconds` to find out."""

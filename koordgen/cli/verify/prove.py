@@ -41,14 +41,14 @@ def run(options: Namespace) -> int:
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
     if options.attack_from is not None:
-        from koordgen.cli.verify.attack import again
+        from koordgen.cli.verify.attack import attack_from_file
 
-        return again(options)
+        return attack_from_file(options)
     limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
             solver.start()  # it loads while the compiler is imported and the program checked
-            return proved(options, solver)
+            return prove_program(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
 
@@ -58,20 +58,20 @@ def _total(options: Namespace) -> float:
     return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
-def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
+def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     """Check the program, prove it, and print or write what the options name. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file, fleet_params
-    from koordgen.cli.verify.attack import attacked
+    from koordgen.cli.verify.attack import attack_verdicts
 
     checked = check_file(options.program)
     if options.format == "text":
         tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
-    question = fixed(checked.program, given)
-    found = asked(checked.program, question, options.robots, solver, _total(options))
-    attacks = attacked(checked.program, question, found, solver, options)
+    question = fixed_params(checked.program, given)
+    found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
+    attacks = attack_verdicts(checked.program, question, found, solver, options)
     solver.stop()  # its memory is freed while this process prints
-    tell_verdicts(options, found, attacks)
+    print_verdicts(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
@@ -83,7 +83,7 @@ def proved(options: Namespace, solver: Solver | CrossCheck) -> int:
     return status(found)
 
 
-def asked(
+def verdicts_by_robots(
     program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
 ) -> list[list[InvariantVerdict]]:
     """Return the verdicts for each number of robots, within `seconds` in all. Raises SolverMissing."""
@@ -111,7 +111,7 @@ def undecided(program: Program, robots: int | None, reason: str) -> list[Invaria
     return [InvariantVerdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
 
 
-def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
+def fixed_params(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
     """Return the params that have a value, as constants. The others are arbitrary. Raises Failure."""
     if not given:
         return {}
@@ -133,7 +133,7 @@ def status(found: list[list[InvariantVerdict]]) -> int:
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def tell_verdicts(options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks]) -> None:
+def print_verdicts(options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks]) -> None:
     from koordgen.cli.base.terminal import coloured_verdicts
     from koordgen.verify.prove.report.show import document, report
 
@@ -173,7 +173,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
-    from koordgen.verify.prove.report.trace import About, trace
+    from koordgen.verify.prove.report.trace import RunOrigin, trace
     from koordgen.verify.replay.values import BadValue, from_trace, plain
 
     told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
@@ -190,7 +190,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
     except (BadParam, BadValue):  # numbers that no robot can represent
         hashed = ""
-    return trace(program, first, About(hashed, tuple(p.name for p in program.params)))
+    return trace(program, first, RunOrigin(hashed, tuple(p.name for p in program.params)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:

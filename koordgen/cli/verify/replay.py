@@ -12,10 +12,10 @@ from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Fail
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.replay.fleet import replayed
+from koordgen.verify.replay.fleet import replay_trace
 from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
-from koordgen.verify.replay.trace import TraceParts, opened
+from koordgen.verify.replay.trace import TraceParts, open_trace
 
 MOST_TOLD = 20  # most differences that are printed
 LONGEST = 200  # longest value in characters
@@ -27,10 +27,10 @@ def replay(options: Namespace) -> int:
     path = path / "trace.jsonl" if path.is_dir() else path
     counts, found, ended = Counts(), list[Difference](), False
     try:
-        trace = opened(path)
+        trace = open_trace(path)
         path = trace.path
         program, functions = program_of(options, trace.path, trace.program_hash)
-        again = replayed(program, externs(program, functions), trace, counts)
+        again = replay_trace(program, externs(program, functions), trace, counts)
         try:
             with alarm(options.seconds):
                 for difference in again:

@@ -57,7 +57,7 @@ def _key(params: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(params.items()))
 
 
-def carry_out(
+def execute_runs(
     runs: Sequence[PlannedRun],
     kept: CampaignStore,
     executor: Executor,
@@ -82,7 +82,7 @@ def carry_out(
             finished, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in finished:
                 run = under_way.pop(future)
-                _take(kept, run, future)
+                _store_result(kept, run, future)
                 bundles.done(run)
             tell(progress.text())
             if interrupted():
@@ -95,7 +95,7 @@ def carry_out(
         executor.stop()
 
 
-def _take(kept: CampaignStore, run: PlannedRun, future: Future[RunResult]) -> None:
+def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult]) -> None:
     try:
         result = future.result()
     except (CampaignStopped, CancelledError, ClusterUnreachable):

@@ -59,7 +59,7 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
         scenario.write_text(job.scenario, encoding="utf-8")
         command.append(f"--scenario={scenario}")
     began = time.monotonic()
-    status, told = watched(_gently(command) if job.gentle else command, stopped)
+    status, told = run_command(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
     if status not in (HELD, VIOLATED):
         return RunResult(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
@@ -67,7 +67,7 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
 
 
-def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
+def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
     """Run a command to its end.
 
     Return its status and its output. It is ended if the campaign is stopped. Raises CampaignStopped."""
@@ -144,7 +144,7 @@ def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], 
 
     If its status is not 0, the run is violated and the last line of its output is the reason. If the last line is a
     JSON object, its numbers are figures of the run."""
-    status, told = watched([sys.executable, script, str(folder)], stopped)
+    status, told = run_command([sys.executable, script, str(folder)], stopped)
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None
     if figures is not None:

@@ -22,7 +22,7 @@ INCHES = 5.2  # width of a column
 MARGIN = 0.06  # part of the picture's extent
 
 
-def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
+def draw_reachsets(reachsets: Sequence[Reachset], file: Path) -> Path:
     """Draw one column per reachset, all with the same scales.
 
     Above are x and y, below is the position along the offset over time. Raises ValueError without any reachset,

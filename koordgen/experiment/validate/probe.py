@@ -197,7 +197,7 @@ def check(probe: Probe) -> None:
         raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give another")
 
 
-def drawn(probe: Probe, part: int) -> dict[str, Any]:
+def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
     """Return the fleet file of one run as plain values.
 
     The seed, the part and the robot determine all random values."""
@@ -239,14 +239,14 @@ def program_of(target: manifest.Target) -> str:
     return PROGRAM.format(module=module, position=position, goal=goal)
 
 
-def built(probe: Probe, part: int, folder: Path) -> None:
+def build_probe(probe: Probe, part: int, folder: Path) -> None:
     """Write program and fleet, and build their bundle into `folder`.
 
     Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
     program, fleet = folder / "probe.koord", folder / "fleet.yaml"
     program.write_text(program_of(manifest.load(probe.platform.target)), encoding="utf-8")
-    fleet.write_text(yaml.safe_dump(drawn(probe, part), sort_keys=False), encoding="utf-8")
+    fleet.write_text(yaml.safe_dump(fleet_of(probe, part), sort_keys=False), encoding="utf-8")
     for path, file in probe.platform.beside.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(file, folder / path)
@@ -255,7 +255,7 @@ def built(probe: Probe, part: int, folder: Path) -> None:
     write({harness: bundles[harness]}, folder)
 
 
-def sampled(
+def take_samples(
     probes: Sequence[Probe],
     executor: Executor,
     folder: Path,
@@ -265,7 +265,7 @@ def sampled(
     """Execute all runs in a new folder, as a campaign does.
 
     The files of a run, some 10 MB, are deleted after its samples are taken. Raises BadProbe if a probe is impossible or
-    did not run, and what `drive.carry_out` raises."""
+    did not run, and what `drive.execute_runs` raises."""
     for probe in probes:
         check(probe)
     runs: list[PlannedRun] = []
@@ -278,7 +278,7 @@ def sampled(
 
     def build(params: Mapping[str, str], own: Path) -> None:
         index, _, part = params["probe"].partition("/")
-        built(probes[int(index)], int(part), own)
+        build_probe(probes[int(index)], int(part), own)
 
     def job(run: PlannedRun) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
@@ -287,7 +287,7 @@ def sampled(
     plan = CampaignPlan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
-        drive.carry_out(runs, kept, executor, bundles, job, tell, interrupted)
+        drive.execute_runs(runs, kept, executor, bundles, job, tell, interrupted)
         for result in kept.results.values():
             if result.outcome == "failed":
                 raise BadProbe(f"run {runs[result.run].name} of a probe did not run: {result.why}")

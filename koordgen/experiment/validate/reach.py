@@ -12,10 +12,10 @@ from pathlib import Path
 
 from koordgen.experiment.campaign.executor import Executor
 from koordgen.experiment.campaign.store import replace
-from koordgen.experiment.validate.draw import drawn
-from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, sampled
+from koordgen.experiment.validate.draw import draw_reachsets
+from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, take_samples
 from koordgen.experiment.validate.statistics import needed
-from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compared, reached
+from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compare, reachset_of
 
 PICTURE, TABLE = "reachsets.png", "reachsets.txt"
 PARTS = 3  # parts of the samples: for learning, for calibration, for the check
@@ -65,17 +65,17 @@ def reachsets(
     """Return one reachset per platform, in the order of `names`.
 
     Their runs are executed together, in a new folder, with the same starts for all. Raises BadProbe, Rejected,
-    ManifestError, and what `campaign.drive.carry_out` raises."""
-    found = sampled(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
-    return [reached(samples, asked.epsilon, asked.gamma) for samples in found]
+    ManifestError, and what `campaign.drive.execute_runs` raises."""
+    found = take_samples(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
+    return [reachset_of(samples, asked.epsilon, asked.gamma) for samples in found]
 
 
 def comparisons(found: Sequence[Reachset]) -> list[Comparison]:
     """Return the comparison of each pair of reachsets, which have one offset."""
-    return [compared(a, b) for a, b in combinations(found, 2)]
+    return [compare(a, b) for a, b in combinations(found, 2)]
 
 
-def written(found: Sequence[Reachset], folder: Path) -> list[Path]:
+def write_files(found: Sequence[Reachset], folder: Path) -> list[Path]:
     """Write a JSON file for each reachset, their picture, and the table that compares them.
 
     Raises OSError."""
@@ -89,4 +89,4 @@ def written(found: Sequence[Reachset], folder: Path) -> list[Path]:
     if tables:
         replace(folder / TABLE, "\n".join(tables))
         files.append(folder / TABLE)
-    return [*files, drawn(found, folder / PICTURE)]
+    return [*files, draw_reachsets(found, folder / PICTURE)]

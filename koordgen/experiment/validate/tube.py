@@ -190,7 +190,7 @@ def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, A
     return times[np.append(first, last[-1])], lower, upper
 
 
-def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
+def reachset_of(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
     """Return the reachset of some samples. Raises ValueError if they are too few."""
     probe, each = samples.probe, needed(epsilon, gamma)
     platform = probe.platform
@@ -285,7 +285,7 @@ def figures(found: Reachset) -> Figures:
     return Figures(max(areas), area, max(volumes), union(*_fewer(lower, upper)), found.overshoot, found.lateral)
 
 
-def compared(a: Reachset, b: Reachset) -> Comparison:
+def compare(a: Reachset, b: Reachset) -> Comparison:
     """Compare two reachsets. Raises ValueError if their offsets differ."""
     if a.offset != b.offset:
         raise ValueError(f"{a.platform} went {a.offset}, {b.platform} {b.offset}: that is not the same offset")

@@ -75,7 +75,7 @@ class TrialFile(NamedTuple):
 # Writing
 
 
-def written(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
+def to_text(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
     """Return a contradiction as the text of a file."""
     state = found.trial.state
     document = {
@@ -91,7 +91,7 @@ def written(found: Contradiction, proved: Iterable[str], program_hash: str, path
             "robots": [
                 {"locals": _values(r.locals), "ports": _values(r.ports), "stopped": r.stopped} for r in state.robots
             ],
-            "slots": {name: [plain(v) for v in values] for name, values in state.store.slots.items()},
+            "slots": {name: [to_json(v) for v in values] for name, values in state.store.slots.items()},
             "cells": _values(state.store.cells),
         },
         "steps": [_step(act) for act in found.trial.acts],
@@ -103,17 +103,17 @@ def _step(act: Act) -> dict[str, Any]:
     if act.event == ENVIRONMENT:
         return {"event": act.event, "sensors": [_values(new) for new in act.sensors]}
     answers = [
-        {"robot": pid, "port": port, "arguments": [plain(arg) for arg in args], "answer": plain(answer)}
+        {"robot": pid, "port": port, "arguments": [to_json(arg) for arg in args], "answer": to_json(answer)}
         for pid, (port, args, answer) in act.answers
     ]
     return {"event": act.event, "robot": act.pid, "answers": answers}
 
 
 def _values(values: Mapping[str, Value]) -> dict[str, Any]:
-    return {name: plain(value) for name, value in values.items()}
+    return {name: to_json(value) for name, value in values.items()}
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Return a value as JSON."""
     match value:
         case bool() | int() | str():
@@ -127,11 +127,11 @@ def plain(value: Any) -> Any:
         case bytes():
             return b64encode(value).decode()
         case RecordValue(_, fields):
-            return [plain(part) for part in fields]
+            return [to_json(part) for part in fields]
         case tuple():
-            return [plain(part) for part in value]
+            return [to_json(part) for part in value]
         case Point() | Pose() | Grid() | Scan() | GridMap() | Opaque():
-            return [plain(getattr(value, name)) for name in value.__struct_fields__]
+            return [to_json(getattr(value, name)) for name in value.__struct_fields__]
         case _:
             raise AssertionError(f"{value!r} is no value of the language")
 
@@ -139,7 +139,7 @@ def plain(value: Any) -> Any:
 # Reading
 
 
-def read(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
+def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
     """Return the content of a file about a program, made exact. Raises BadFile."""
     if len(data) > MOST_BYTES:
         raise BadFile(f"it has {len(data)} bytes; the limit is {MOST_BYTES}")

@@ -12,7 +12,7 @@ SLACK = 2  # rounds by which a robot may report a violation late
 _BAD = ("violated", "no value")
 
 
-def compared(findings: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
+def compare_monitors(findings: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
     """Return notes about violations that monitors reported and the audit does not show, and vice versa."""
     notes: list[str] = []
     for finding in findings:

@@ -59,7 +59,7 @@ class TraceFile:
         return any(flaw.cut for flaw in self.flaws)
 
 
-def found(given: Path) -> list[Path]:
+def trace_files(given: Path) -> list[Path]:
     """Return the trace files that a name denotes. Raises BadTrace.
 
     They are a file with its earlier parts, or the merged trace in a run's folder, or else all traces below a folder."""
@@ -84,7 +84,7 @@ def _header(path: Path) -> Mapping[str, Any] | None:
         raise BadTrace(f"{path}: {error.strerror or error}") from None
 
 
-def opened(path: Path) -> TraceFile:
+def read_trace_file(path: Path) -> TraceFile:
     """Read a whole file. Raises BadTrace if it is no trace."""
     header = _header(path)
     if header is None:

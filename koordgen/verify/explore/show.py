@@ -27,7 +27,7 @@ from koordgen.verify.prove.report.table import (
     run_state_lines,
     run_states_data,
 )
-from koordgen.verify.prove.report.trace import About, run_trace
+from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 
 
 def verdict(result: ExplorationResult) -> str:
@@ -125,7 +125,7 @@ def _data(found: FoundViolation) -> dict[str, Any]:
     }
 
 
-def trace(found: FoundViolation, program: decl.Program, about: About) -> str:
+def trace(found: FoundViolation, program: decl.Program, about: RunOrigin) -> str:
     """Return the run as a trace."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason

@@ -104,7 +104,7 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
     return {name: plain(value) for name, value in values.items()}
 
 
-def planned(
+def make_plan(
     program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
 ) -> ExecutionPlan:
     """Return the plan of a counterexample. Raises CannotExecute."""

@@ -1,6 +1,6 @@
 """Replay: runs a traced program again by the semantics, on the inputs that its robots recorded.
 
 Owns: reading of traces, and checks of their records.
-Offers: `trace.opened`, `robot`, `fleet`.
+Offers: `trace.open_trace`, `robot`, `fleet`.
 Must not import: the prover, explore, audit.
 """

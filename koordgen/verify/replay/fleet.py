@@ -15,7 +15,7 @@ from koordgen.verify.replay.trace import TraceLine, TraceParts
 from koordgen.verify.replay.values import plain
 
 
-def replayed(
+def replay_trace(
     program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: TraceParts, counts: Counts
 ) -> Iterator[Difference]:
     """Yield every difference, in the trace's order. Raises BadTrace, Unreplayable."""

@@ -78,7 +78,7 @@ class TraceParts:
             yield TraceLine(number, pid, record)
 
 
-def opened(path: Path) -> TraceParts:
+def open_trace(path: Path) -> TraceParts:
     """Open the trace at `path`, with the parts before it. Raises BadTrace."""
     *older, path = parts_of(path)
     blank = TraceParts(path, "", "", (), False, 0)

@@ -18,7 +18,7 @@ from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.verify.follow.exact import agree
-from koordgen.verify.prove.report.trace import About, run_trace
+from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 from tests.sim.follow.following import DRIVER, Followed, fleet, follow, replays
 from tests.verify.explore.mutants import MUTANTS as ALL
 from tests.verify.explore.mutants import Mutant
@@ -260,7 +260,7 @@ def random_run(folder: Path, seed: int, robots: int, rounds: int) -> Path:
     last = list(made.known)[-20:]
     moments = tuple(made._run_to(last[Random(seed).randrange(len(last))]))
     trace = folder / "cx.jsonl"
-    trace.write_text(run_trace(program, moments, None, About(program_hash(program))))
+    trace.write_text(run_trace(program, moments, None, RunOrigin(program_hash(program))))
     return trace
 
 

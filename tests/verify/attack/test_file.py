@@ -13,7 +13,7 @@ import pytest
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
+from koordgen.verify.attack.file import MOST_BYTES, BadFile, read_trial, to_text
 from koordgen.verify.attack.judge import Contradiction, Trial, TrialJudge, TrialNotCovered, UnusableStep
 from tests.verify.attack.faults import every_name, ticks
 from tests.verify.prove.proving import checked
@@ -69,7 +69,7 @@ def made() -> tuple[Program, Contradiction, str]:
     state, acts = found.trial
     begun = TrialJudge(exact(program), [], lambda *_: ()).replay(Trial(state, acts[:1])).states[1]
     found = found._replace(trial=Trial(begun, acts[1:]))
-    return exact(program), found, written(found, ["Q", "(well-defined)"], HASH, "app.koord")
+    return exact(program), found, to_text(found, ["Q", "(well-defined)"], HASH, "app.koord")
 
 
 PROGRAM, FOUND, TEXT = made()
@@ -82,7 +82,7 @@ def changed(change: Callable[[Any], object]) -> bytes:
 
 
 def test_a_contradiction_is_read_as_it_was_written_and_contradicts_again() -> None:
-    given = read(TEXT.encode(), PROGRAM, HASH)
+    given = read_trial(TEXT.encode(), PROGRAM, HASH)
     assert given.trial == FOUND.trial
     assert (given.invariant, given.proved) == ("Q", ("(well-defined)", "Q"))
     again = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
@@ -92,7 +92,7 @@ def test_a_contradiction_is_read_as_it_was_written_and_contradicts_again() -> No
 
 def test_numbers_are_exact_texts() -> None:
     assert '"1/3"' in TEXT
-    state = read(TEXT.encode(), PROGRAM, HASH).trial.state
+    state = read_trial(TEXT.encode(), PROGRAM, HASH).trial.state
     assert state.robots[0].locals["third"] == Fraction(1, 3)
 
 
@@ -137,7 +137,7 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
 def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
     change, said = CHANGES[name]
     with pytest.raises(BadFile) as error:
-        read(changed(change), PROGRAM, HASH)
+        read_trial(changed(change), PROGRAM, HASH)
     assert said in str(error.value)
     assert error.value.help and len(str(error.value)) < 300
 
@@ -157,13 +157,13 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
 )
 def test_bytes_that_are_no_such_file(data: bytes, said: str) -> None:
     with pytest.raises(BadFile, match=said):
-        read(data, PROGRAM, HASH)
+        read_trial(data, PROGRAM, HASH)
 
 
 def followed(data: bytes) -> str:
     """What comes of a file, whatever it is."""
     try:
-        given = read(data, PROGRAM, HASH)
+        given = read_trial(data, PROGRAM, HASH)
         found = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
     except (BadFile, TrialNotCovered, UnusableStep) as error:
         return type(error).__name__
@@ -190,6 +190,6 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     text = RICH.replace("  PathPlanner planner\n", "  PathPlanner planner\n  assume planner(goal) == []\n")
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
-    given = read(TEXT.encode(), program, HASH)
+    given = read_trial(TEXT.encode(), program, HASH)
     with pytest.raises(UnusableStep, match=r"no known answer of Motion\.planner"):
         TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)

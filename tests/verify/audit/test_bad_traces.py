@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from koordgen.cli import main
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import opened
+from koordgen.verify.audit.reading import read_trace_file
 from koordgen.verify.audit.story import mission
 from tests.verify.audit.fleets import audited, by_name
 from tests.verify.audit.test_audit import HOLDS, edit, home_of
@@ -179,7 +179,7 @@ def test_a_counterexample_is_no_trace_of_robots(tmp_path: Path, capsys: pytest.C
 def test_bytes_behind_a_header_never_raise(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "fuzz.jsonl"
     path.write_bytes(json.dumps(HEADER, separators=(",", ":")).encode() + b"\n" + data)
-    log = opened(path)
+    log = read_trace_file(path)
     assert mission([log]).last >= 0 and all(flaw.number > 0 for flaw in log.flaws)
 
 
@@ -215,4 +215,4 @@ def test_a_header_of_nonsense_is_refused(tmp_path: Path) -> None:
             del header["app"]
         (tmp_path / "x.jsonl").write_text(json.dumps(header) + "\n")
         with pytest.raises(BadTrace, match="broken header"):
-            opened(tmp_path / "x.jsonl")
+            read_trace_file(tmp_path / "x.jsonl")

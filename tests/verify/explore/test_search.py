@@ -13,7 +13,7 @@ from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEn
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, ExplorationBounds
 from koordgen.verify.explore.show import document, itf, report, trace
-from koordgen.verify.prove.report.trace import About
+from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Solver
 from tests.lang.semantics.programs import compiled
@@ -200,7 +200,7 @@ def test_a_violation_is_a_trace_and_an_itf_document() -> None:
     program = compiled(LOST)
     found = explored(program, 2)[1].violation
     assert found is not None
-    lines = [json.loads(line) for line in trace(found, program, About()).splitlines()]
+    lines = [json.loads(line) for line in trace(found, program, RunOrigin()).splitlines()]
     assert lines[0]["kind"] == "header" and (lines[-1]["name"], lines[-1]["t"]) == ("Counted", 1.0)
     assert [r["event"] for r in lines if r["kind"] == "round" and r["pid"] == 0] == [None, "init", "Add", None]
     document = json.loads(itf(found, program))

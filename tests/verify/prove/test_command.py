@@ -15,7 +15,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.prove.smt.process import allowed
+from koordgen.verify.prove.smt.process import memory_limit
 from koordgen.verify.prove.smt.solve import Limits, solver_of
 from tests.verify.attack.faults import ticks
 from tests.verify.prove.programs import CONTRADICTION, COUNTER, CUBES, LINE, SECRET, STRONG
@@ -219,7 +219,7 @@ def test_a_solver_without_memory_proves_nothing(
 
 def test_a_solver_has_no_more_memory_than_we_have(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("resource.getrlimit", lambda _: (100 << 20, 200 << 20))
-    assert (allowed(2048), allowed(50)) == (100, 50)
+    assert (memory_limit(2048), memory_limit(50)) == (100, 50)
 
 
 def test_a_trace_of_the_counterexample(folder: Path) -> None:

@@ -128,7 +128,7 @@ def test_a_transaction_may_see_an_earlier_guard_hold(tmp_path: Path, solver: Sol
 
 def test_a_step_that_breaks_the_order_is_not_shown(tmp_path: Path, solver: Solver) -> None:
     """The obligations of the program without its block have models that the program with it does not."""
-    from koordgen.verify.prove.report.model import replayed
+    from koordgen.verify.prove.report.model import run_model
     from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable
 
     free = checked(tmp_path, HOT)
@@ -138,9 +138,9 @@ def test_a_step_that_breaks_the_order_is_not_shown(tmp_path: Path, solver: Solve
     answer = solver.ask(obligation, reader.wanted())
     assert answer.result == "sat"
     reader.answered(answer.values)
-    assert replayed(exact(free), obligation, reader, 1).event == "Go"
+    assert run_model(exact(free), obligation, reader, 1).event == "Go"
     with pytest.raises(Unshowable, match="an earlier event of the same priority block"):
-        replayed(exact(ordered), obligation, reader, 1)
+        run_model(exact(ordered), obligation, reader, 1)
 
 
 def test_runs_are_looked_for_within_the_block(tmp_path: Path) -> None:

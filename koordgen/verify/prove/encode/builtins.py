@@ -66,11 +66,11 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return e.lists.place(path_of(args[0]), args[1])
         case "sum" if isinstance(args[0], FleetValue):
             zero = _ZERO if node.type is INT else t.real(0)
-            return folded(e, args[0], "sum", (), as_term, zero)
+            return sum_over_robots(e, args[0], "sum", (), as_term, zero)
         case "count" if isinstance(args[0], FleetValue):
             wanted = args[1]
             one = lambda x: t.ite(e.lists.same(x, wanted), _ONE, _ZERO)  # noqa: E731
-            return folded(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
+            return sum_over_robots(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
         case "get" | "map_at":
             return _looked_up(e, node, args)
         case _ if name in _LISTS and not isinstance(args[0], FleetValue):
@@ -188,7 +188,7 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
 # Sums over all robots. If one robot's value changed, the sum is the old sum minus the old value plus the new one.
 
 
-def folded(
+def sum_over_robots(
     e: ExprEncoder, xs: FleetValue, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
 ) -> Term:
     """Return the sum of `part` over all robots.
@@ -204,7 +204,7 @@ def folded(
         return found
     if xs.changed is not None:
         before, robot_, value = xs.changed
-        rest = t.subtract(folded(e, before, name, extra, part, zero), part(before.slot(robot_)))
+        rest = t.subtract(sum_over_robots(e, before, name, extra, part, zero), part(before.slot(robot_)))
         found = t.add(rest, part(value))
     else:
         whole = e.lists.term(xs)

@@ -87,7 +87,7 @@ def obligation_groups(
         yield from ([obligation] for obligation in consistency(problem))
     for part in parts(problem):
         if event is None or part.name == event:
-            yield encoded(problem, part)
+            yield obligations_of(problem, part)
 
 
 class Part(NamedTuple):
@@ -123,7 +123,7 @@ def parts(problem: ProofProblem) -> Iterator[Part]:
     yield Part("environment", "(environment)", line, touched, (), partial(environment, problem))
 
 
-def encoded(problem: ProofProblem, part: Part) -> list[Obligation]:
+def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
     """Return the obligations of a part.
 
     If its formulas are too large, they have no formulas but exist, unproved."""
@@ -254,7 +254,7 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
     frame.brief = part_encoder.brief
     with context.separate_demands() as demands:
         with context.about(f"guard of {event.name}", event.guard.span.line):
-            guarded(part_encoder, event.guard, frame)
+            assume_guard(part_encoder, event.guard, frame)
             now.read.clear()
         with context.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
@@ -278,7 +278,7 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
     return found
 
 
-def guarded(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> None:
+def assume_guard(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> None:
     """Assume that the guard holds if all of it has a value.
 
     Without that condition, the guard could prove that its own operations have values. The parts before the first such

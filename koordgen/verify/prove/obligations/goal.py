@@ -80,7 +80,7 @@ class _Goals:
                 pass
             case _:
                 term = t.implies(guard, self.part_encoder.encoder.defined(formula, self.scope))
-                label = f"{self.name}{'' if self.part_encoder.brief else f': {shown(formula)}'}"
+                label = f"{self.name}{'' if self.part_encoder.brief else f': {formula_text(formula)}'}"
                 self.found.append(
                     LabelledFormula(label, term, self.part_encoder.problem.program.path, formula.span.line)
                 )
@@ -142,7 +142,7 @@ def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
     return True
 
 
-def shown(formula: ir.Expr) -> str:
+def formula_text(formula: ir.Expr) -> str:
     """Return the text of a formula, close to how the program writes it."""
     from koordgen.lang.ir.printer import expression
 

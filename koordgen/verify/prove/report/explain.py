@@ -14,7 +14,7 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value as KoordValue
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.model import Counterexample, replayed, with_values
+from koordgen.verify.prove.report.model import Counterexample, run_model, with_values
 from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable, flat
 from koordgen.verify.prove.report.reach import CounterexampleRun, SearchBounds, run_to
 from koordgen.verify.prove.report.strengthen import strengthening, unassumed, with_position_assumptions
@@ -131,7 +131,7 @@ class Explainer:
                     reader.answered(answer.values)
                     try:
                         with ends(Deadline(time.monotonic, until)):
-                            return replayed(program, same, reader, robots)
+                            return run_model(program, same, reader, robots)
                     except Unshowable as error:
                         reasons.append(str(error))
                     except OutOfTime:

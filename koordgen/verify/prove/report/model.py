@@ -126,7 +126,7 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name: made_exact(value) for name, value in values.items()}
 
 
-def replayed(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
+def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
     """Run the step of a model, as `reader` read it.
 
     `program` is exact, and contains the invariants that may be assumed. Raises Unshowable if the run does not show what

@@ -37,7 +37,7 @@ UNMOVED = ("", "(environment)")  # steps in which no robot acts
 Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 
 
-class About(NamedTuple):
+class RunOrigin(NamedTuple):
     """Origin of a run.
 
     `program_hash`: "" if the run has numbers that robots do not have; `given`: the params given on the command line;
@@ -49,7 +49,7 @@ class About(NamedTuple):
     externs: Mapping[str, Callable[..., Value]] = {}
 
 
-def trace(program: decl.Program, explanation: FailureExplanation, about: About) -> str:
+def trace(program: decl.Program, explanation: FailureExplanation, about: RunOrigin) -> str:
     """Return the trace of a counterexample as JSON lines; empty if there is none.
 
     They are a header, then each step as a round of each robot, with its position if a sensor measures it, and the
@@ -71,7 +71,7 @@ def trace(program: decl.Program, explanation: FailureExplanation, about: About) 
 
 
 def run_trace(
-    program: decl.Program, run_states: tuple[RunState, ...], violated: tuple[str, int, str] | None, about: About,
+    program: decl.Program, run_states: tuple[RunState, ...], violated: tuple[str, int, str] | None, about: RunOrigin,
     culprit: tuple[int, str] | None = None,
 ) -> str:  # fmt: skip
     """Return the trace of a run.
@@ -97,7 +97,7 @@ def _pair(found: Counterexample) -> tuple[RunState, ...]:
     return RunState(found.before, "", None, 1), RunState(found.after, found.event, found.pid, 1)
 
 
-def _header(program: decl.Program, run_states: tuple[RunState, ...], about: About) -> Header:
+def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Header:
     state = run_states[0].state
     return Header(
         format=FORMAT,
@@ -115,7 +115,7 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: Abou
     )
 
 
-def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: About) -> Iterator[Pose | Round]:
+def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[Pose | Round]:
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
     for index, run_state in enumerate(run_states):
         state = run_state.state
@@ -155,7 +155,7 @@ def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: About
 Calls = list[tuple[str, list[Any], Any]]  # port, arguments, answer, in JSON
 
 
-def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: About) -> dict[int, Calls]:
+def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin) -> dict[int, Calls]:
     """Return the calls of callable ports in a step with their answers, by the calling robot."""
     run_state = run_states[index]
     if run_state.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
@@ -164,7 +164,7 @@ def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, 
     return {pid: _asked(program, run_states, index, about, pid) for pid in acting}
 
 
-def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: About, pid: int) -> Calls:
+def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin, pid: int) -> Calls:
     """Run the step again with every combination of possible answers, until its effect is that of the run."""
     run_state, before = run_states[index], run_states[index - 1].state
     begun = next(m.state for m in reversed(run_states[:index]) if m.round < run_state.round or m is run_states[0])
@@ -201,7 +201,7 @@ class _Script:
     The k-th question gets its `scripted[k]`-th possible answer, later questions the first one. Equal questions get
     equal answers."""
 
-    def __init__(self, about: About, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
+    def __init__(self, about: RunOrigin, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted
         self._given: dict[str, Value] = {}
         self._options: list[int] = []

@@ -24,7 +24,7 @@ def unknown_reason(program: decl.Program, obligation: Obligation, answer: Solver
     if answer.result == "unknown":
         hard = list(dict.fromkeys(_products(program, obligation)))[:MAX_NAMED]
         if not hard:
-            return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
+            return f"{where}: {answer.reason}{_many(obligation) if is_exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknowns: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
@@ -36,7 +36,7 @@ def unknown_reason(program: decl.Program, obligation: Obligation, answer: Solver
     return f"{where}: {unshown}{known}. Add facts to {say}, a contract or an axiom"
 
 
-def exhausted(answer: SolverAnswer) -> bool:
+def is_exhausted(answer: SolverAnswer) -> bool:
     """Return whether a solver ran out of time or memory. False if it broke, or gave up."""
     return any(word in answer.reason for word in ("--timeout", "memory"))
 

@@ -17,7 +17,7 @@ class ProcessEnded(Exception):
     """The process has closed its output."""
 
 
-def allowed(memory: int) -> int:
+def memory_limit(memory: int) -> int:
     """Return `memory` in megabytes, or this process' own limit if that is less."""
     own = resource.getrlimit(resource.RLIMIT_AS)[0]
     return memory if own == resource.RLIM_INFINITY else min(memory, own >> 20)

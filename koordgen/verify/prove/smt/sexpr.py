@@ -66,19 +66,19 @@ def value(node: Expression) -> ModelValue:
         case ["as", str(name), _]:
             return name
         case _:
-            return f"irrational {shown(node)}"
+            return f"irrational {to_text(node)}"
 
 
 def _number(node: Expression) -> int | Fraction:
     found = value(node)
     if isinstance(found, (bool, str)):
-        raise Unreadable(f"expected a number, found {shown(node)}")
+        raise Unreadable(f"expected a number, found {to_text(node)}")
     return found
 
 
 def _strange(node: object) -> Unreadable:
-    return Unreadable(f"expected a value, found {shown(node)[:80]}")
+    return Unreadable(f"expected a value, found {to_text(node)[:80]}")
 
 
-def shown(node: object) -> str:
-    return f"({' '.join(map(shown, node))})" if isinstance(node, list) else str(node)
+def to_text(node: object) -> str:
+    return f"({' '.join(map(to_text, node))})" if isinstance(node, list) else str(node)

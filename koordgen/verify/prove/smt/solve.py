@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, Self
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.prove.smt.obligation import Obligation
-from koordgen.verify.prove.smt.process import Process, ProcessEnded, allowed
+from koordgen.verify.prove.smt.process import Process, ProcessEnded, memory_limit
 from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
 from koordgen.verify.prove.smt.smtlib import script, together
 from koordgen.verify.prove.smt.term import TRUE, Term, not_
@@ -144,7 +144,7 @@ class Solver:
         if self._process is not None:
             return
         try:
-            self._process = Process(self.command, allowed(self.limits.memory))
+            self._process = Process(self.command, memory_limit(self.limits.memory))
         except OSError as error:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
@@ -363,7 +363,9 @@ class Solver:
         words = _short(process.read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (
-            f" (its memory is limited to {allowed(self.limits.memory)} MB)" if status in (-11, -9, -6, 101, 127) else ""
+            f" (its memory is limited to {memory_limit(self.limits.memory)} MB)"
+            if status in (-11, -9, -6, 101, 127)
+            else ""
         )
         return f"{self.name} {how} during a query{f', with the output: {words}' if words else ''}{hint}"
 

@@ -100,7 +100,7 @@ MUTANTS: dict[str, Mutant] = {
         "V2", WEAKER, generate.of_event, "priority",
         "part_encoder.holds(problem.invariants, now)", "pass"),
     "the guard is not known to hold": Mutant(
-        "V2", WEAKER, generate.guarded, "geofence",
+        "V2", WEAKER, generate.assume_guard, "geofence",
         "context.learn(parts[-1])\n    context.fact(", "pass\n    str("),
     # V3: environment
     "the environment does not move": Mutant(
@@ -126,7 +126,7 @@ MUTANTS: dict[str, Mutant] = {
         "V4", WEAKER, context.ProofContext.demand, "an init that ended",
         "if formula is not t.TRUE:", "if False:"),
     "a guard that holds shows that its own operations have a value": Mutant(
-        "V4", UNSOUND, generate.guarded, "a guard that holds showed that its own operations have a value",
+        "V4", UNSOUND, generate.assume_guard, "a guard that holds showed that its own operations have a value",
         "t.all_of([demand.term for demand in context.demands])", "t.TRUE"),
     "a contract shows that an operation before the call has a value": Mutant(
         "V4", UNSOUND, context.ProofContext.reached, "a contract behind a division",
@@ -437,7 +437,7 @@ MUTANTS: dict[str, Mutant] = {
         "values", UNSOUND, lists.default, "an actuator at the start",
         "t.BOOL: t.FALSE", "t.BOOL: t.TRUE"),
     "sums are zero": Mutant(
-        "values", UNSOUND, builtins.folded, "a sum",
+        "values", UNSOUND, builtins.sum_over_robots, "a sum",
         "found = t.add(rest, part(value))", "found = zero"),
     "nobody is in a fleet": Mutant(
         "values", UNSOUND, quantifier.in_fleet, "an allread variable as a whole",
