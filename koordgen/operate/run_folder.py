@@ -19,8 +19,8 @@ from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
-from koordgen.verify.audit.reading import read_trace_file, trace_files
-from koordgen.verify.audit.story import FleetMission, mission
+from koordgen.verify.audit.history import FleetMission, mission
+from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
 
@@ -72,7 +72,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
     from targets.sim.trace.collected import merge
 
     names = [robot.name for robot in fleet.robots]
-    flew = [story.name if story.lives else name for story, name in zip(whole.stories, names, strict=False)]
+    flew = [history.name if history.lives else name for history, name in zip(whole.histories, names, strict=False)]
     if flew != names:
         raise BadTrace(f"the traces are of the robots {', '.join(flew)}, and the fleet file lists {', '.join(names)}")
     end = whole.last * whole.delta
@@ -84,7 +84,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
 
 def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     """Return one robot's files of the mission that record a round, in the order of their rounds."""
-    return list(dict.fromkeys(life.log.path for life in whole.stories[pid].lives if life.tells))
+    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.tells))
 
 
 def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:

@@ -16,12 +16,12 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
-from koordgen.verify.audit.finding import PropertyResult
+from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.judge import PropertyJudge
-from koordgen.verify.audit.meaning import GeneratedProperties
-from koordgen.verify.audit.reading import read_trace_file, trace_files
+from koordgen.verify.audit.properties import GeneratedProperties
+from koordgen.verify.audit.result import PropertyResult
 from koordgen.verify.audit.show import Audit, document, report
-from koordgen.verify.audit.story import FleetMission, mission
+from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -85,7 +85,7 @@ def _judged(
         ended += "are not decided"
     finally:
         line.end()
-    return [*judge.findings, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
+    return [*judge.results, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
 
 
 def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
@@ -105,7 +105,7 @@ def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, s
             verdicts = prove(question, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
-    names = {finding.name for finding in violated}
+    names = {result.name for result in violated}
     return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
 
 

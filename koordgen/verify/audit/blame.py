@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from koordgen.lang.ir import decl
-from koordgen.verify.audit.finding import PropertyResult
+from koordgen.verify.audit.result import PropertyResult
 from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 
@@ -28,9 +28,9 @@ class Blame:
     unseen: tuple[LedgerEntry, ...]
 
 
-def blames(program: decl.Program, findings: Sequence[PropertyResult]) -> list[Blame]:
+def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Blame]:
     """Return the blame of each invariant that was violated or had no value."""
-    violated = [f for f in findings if f.of == "invariant" and f.first is not None]
+    violated = [f for f in results if f.of == "invariant" and f.first is not None]
     if not violated:
         return []
     shown = obligations(program, params={p.name: p.default for p in program.params})
@@ -42,18 +42,18 @@ def blames(program: decl.Program, findings: Sequence[PropertyResult]) -> list[Bl
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
         rests = ledger.of([o for o in shown if o.invariant in names])
-        found.append(_blame(invariant, rests, findings))
+        found.append(_blame(invariant, rests, results))
     return found
 
 
-def _blame(invariant: PropertyResult, rests: tuple[LedgerEntry, ...], findings: Sequence[PropertyResult]) -> Blame:
+def _blame(invariant: PropertyResult, rests: tuple[LedgerEntry, ...], results: Sequence[PropertyResult]) -> Blame:
     assert invariant.first is not None
     broke, unseen = [], []
     for entry in rests:
-        finding = next((f for f in findings if f.line == entry.line and f.of == _KINDS.get(entry.kind)), None)
-        if finding is not None and finding.first is not None and finding.first.moment <= invariant.first.moment:
-            broke.append((entry, finding))
-        elif entry.kind == "axiom" or (finding is not None and (finding.unknown or not finding.rounds)):
+        result = next((f for f in results if f.line == entry.line and f.of == _KINDS.get(entry.kind)), None)
+        if result is not None and result.first is not None and result.first.observation <= invariant.first.observation:
+            broke.append((entry, result))
+        elif entry.kind == "axiom" or (result is not None and (result.unknown or not result.rounds)):
             unseen.append(entry)
-    broke.sort(key=lambda each: each[1].first.moment if each[1].first is not None else invariant.first.moment)  # type: ignore[union-attr]
+    broke.sort(key=lambda each: each[1].first.observation if each[1].first is not None else invariant.first.observation)  # type: ignore[union-attr]
     return Blame(invariant, rests, tuple(broke), tuple(unseen))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.verify.audit.story import FleetMission
+from koordgen.verify.audit.history import FleetMission
 
 SLACK = 0.05  # s that a round may be off, beyond the bound that clocks state for themselves
 DRIFT = 1e-3  # s a second: twice the drift between two clocks
@@ -14,8 +14,8 @@ def notes(mission: FleetMission) -> list[str]:
     Fleet time is counted in rounds; a robot's own clock only decides when its rounds begin."""
     found = []
     delta = mission.delta
-    for story in mission.stories:
-        for life in story.lives:
+    for history in mission.histories:
+        for life in history.lives:
             rounds = [line.record for line in life.lines if line.record["kind"] == "round"]
             if not rounds:
                 continue
@@ -31,11 +31,11 @@ def notes(mission: FleetMission) -> list[str]:
             off, when = max((abs(tick - origin) - DRIFT * delta * abs(r - first), r) for r, tick in ticks)
             if off > SLACK + 2 * bound:
                 found.append(
-                    f"{story.name}'s clock and its rounds are {off:.2f} s apart in round {when}: "
+                    f"{history.name}'s clock and its rounds are {off:.2f} s apart in round {when}: "
                     "the audit uses the time of rounds"
                 )
             if bound > delta / 2:
                 found.append(
-                    f"{story.name} knew the fleet's time only to {bound:.2f} s: its samples are from other times"
+                    f"{history.name} knew the fleet's time only to {bound:.2f} s: its samples are from other times"
                 )
     return found

@@ -8,7 +8,10 @@ from functools import partial
 from typing import Any
 
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Bound, Known, Property, Read, Trail, Unknown, judged
-from koordgen.verify.audit.finding import (
+from koordgen.verify.audit.fleet_state import FleetState
+from koordgen.verify.audit.history import FleetMission
+from koordgen.verify.audit.properties import GeneratedProperties
+from koordgen.verify.audit.result import (
     AFTER,
     BEGIN,
     END,
@@ -18,9 +21,6 @@ from koordgen.verify.audit.finding import (
     PropertyResult,
     ValueRow,
 )
-from koordgen.verify.audit.meaning import GeneratedProperties
-from koordgen.verify.audit.story import FleetMission
-from koordgen.verify.audit.whole import FleetState
 
 MOST_READ = 8  # most values that a violation shows
 MOST_ROBOTS = 6  # most robots in a table
@@ -59,29 +59,29 @@ def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
 class PropertyJudge:
     """Judge of one mission.
 
-    `findings`: properties in the program's order, then assumptions, then unchecked ones."""
+    `results`: properties in the program's order, then assumptions, then unchecked ones."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         self._meaning, self._mission = meaning, mission
         found = self._found = meaning.found
-        n = self._n = len(mission.stories)
+        n = self._n = len(mission.histories)
         self._properties = [(p, PropertyResult(p.kind, p.name, p.line)) for p in found.properties]
         self._assumptions = [(a, PropertyResult("assume", a.module, a.line)) for a in found.assumptions]
         unchecked = [PropertyResult(u.kind, u.name, u.line, u.why) for u in found.unchecked]  # type: ignore[arg-type]
-        self.findings = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
+        self.results = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
         if mission.step:
-            for finding in self.findings:
-                finding.unchecked = _ANY if finding.of == "initially" else finding.unchecked
+            for result in self.results:
+                result.unchecked = _ANY if result.of == "initially" else result.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
         self._whole = FleetState(meaning, mission)
         self._before: dict[str, Any] = {}  # values at the previous observation
-        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.findings]  # outcomes in this round
+        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]  # outcomes in this round
 
     def run(self, progress: Progress) -> list[PropertyResult]:
         whole, first, last = self._whole, self._mission.first, self._mission.last
         if first:
-            for finding in self.findings:
-                finding.miss(first, self._n if finding.of == "assume" else 1)
+            for result in self.results:
+                result.miss(first, self._n if result.of == "assume" else 1)
         elif not self._mission.step:
             self._fleet(Observation(0, False), BEGIN, "initially")
         for round_ in range(first, last + 1):
@@ -96,33 +96,37 @@ class PropertyJudge:
                 if round_:
                     self._steps(round_)
             self._close(round_)
-        return self.findings
+        return self.results
 
     def _close(self, round_: int) -> None:
-        for finding, told in zip(self.findings, self._told, strict=True):
-            finding.close(round_, told, of_each=finding.of == "assume")
+        for result, told in zip(self.results, self._told, strict=True):
+            result.close(round_, told, of_each=result.of == "assume")
             told.clear()
 
     def _note(
-        self, finding: PropertyResult, came: _Evaluation, moment: Observation, violation: Callable[[], AuditViolation]
+        self,
+        result: PropertyResult,
+        came: _Evaluation,
+        observation: Observation,
+        violation: Callable[[], AuditViolation],
     ) -> None:
-        missing = self._missing(came, moment) if came.outcome == "unknown" else ""
-        self._told[next(k for k, f in enumerate(self.findings) if f is finding)].append((came.outcome, missing))
-        if came.outcome in ("violated", "no value") and finding.first is None:
-            finding.first = violation()
+        missing = self._missing(came, observation) if came.outcome == "unknown" else ""
+        self._told[next(k for k, f in enumerate(self.results) if f is result)].append((came.outcome, missing))
+        if came.outcome in ("violated", "no value") and result.first is None:
+            result.first = violation()
 
-    def _fleet(self, moment: Observation, where: str, kind: str) -> None:
+    def _fleet(self, observation: Observation, where: str, kind: str) -> None:
         self._known.put(self._whole.values)
-        for property_, finding in self._properties:
+        for property_, result in self._properties:
             sensed = any(name in self._whole.sensors for name in property_.reads)
-            if property_.kind != kind or (moment.end and not sensed):
+            if property_.kind != kind or (observation.end and not sensed):
                 continue
             came = evaluated(property_.holds, self._known)
-            self._note(finding, came, moment, partial(self._violation, property_, came, moment, where))
+            self._note(result, came, observation, partial(self._violation, property_, came, observation, where))
 
     def _steps(self, round_: int) -> None:
         """Evaluate the assumptions on each robot's ports over this round, if both ends of it are known."""
-        moment = Observation(round_, True)
+        observation = Observation(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
             if not self._assumptions:
@@ -134,31 +138,33 @@ class PropertyJudge:
             step.put({name: self._before[name][pid] for name in ports})
             step.put({f"{name}'": self._before[name][pid] for name in ports if name in actuators})
             step.put({f"{name}'": self._whole.values[name][pid] for name in ports if name not in actuators})
-            for assumption, finding in self._assumptions:
+            for assumption, result in self._assumptions:
                 came = _UNRECORDED if calls is None else evaluated(assumption.holds_of_calls, step)
                 whose = replace(came, robot=pid)
-                finding.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
-                self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
+                result.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
+                self._note(result, whose, observation, partial(self._broken, assumption, whose, observation))
 
     def _in_model(self, pid: int, round_: int) -> bool:
         """Return whether the model knows a robot from a round's start to its end."""
-        story = self._mission.stories[pid]
-        return not (story.out_at(round_) or story.out_at(round_ + 1))
+        history = self._mission.histories[pid]
+        return not (history.out_at(round_) or history.out_at(round_ + 1))
 
-    def _missing(self, came: _Evaluation, moment: Observation) -> str:
+    def _missing(self, came: _Evaluation, observation: Observation) -> str:
         """Describe the unknown value and the trace that lacks it.
 
         An assumption reads an unprimed sensor at the round's start, a primed one at its end."""
         read = came.why.partition("[")[0]
         name = read.rstrip("'")
-        later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)
+        later = observation.end and name in self._whole.sensors and (read != name or "[" in came.why)
         if came.robot < 0:
-            silent = [s.silent(moment.round) for s in self._mission.stories if s.may_act(moment.round)]
+            silent = [s.silent(observation.round) for s in self._mission.histories if s.may_act(observation.round)]
             return f"{name}: {'; '.join(silent) or 'no trace contains it'}"
-        story = self._mission.stories[came.robot]
-        return f"{name} of {story.name}: {story.silent(moment.round + later)}"
+        history = self._mission.histories[came.robot]
+        return f"{name} of {history.name}: {history.silent(observation.round + later)}"
 
-    def _violation(self, property_: Property, came: _Evaluation, moment: Observation, where: str) -> AuditViolation:
+    def _violation(
+        self, property_: Property, came: _Evaluation, observation: Observation, where: str
+    ) -> AuditViolation:
         trail: Trail = []
         again = self._found.fleet(self._n, trail)
         again.take(self._known)
@@ -168,7 +174,7 @@ class PropertyJudge:
         pids += [r.robot for r in trail if isinstance(r, Read) and r.robot is not None and not pids]
         rows = tuple(self._rows(property_.reads, sorted(set(pids))[:MOST_ROBOTS]))
         why = came.why if came.outcome == "no value" else ""
-        return AuditViolation(moment, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
+        return AuditViolation(observation, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
     def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[ValueRow]:
         """Yield the values that the property reads: those of these robots, and the allwrite variables."""
@@ -177,18 +183,18 @@ class PropertyJudge:
         for pid in pids:
             for name in slots:
                 was = text(name, before[name][pid]) if name in before else ""
-                yield ValueRow(self._mission.stories[pid].name, name, was, text(name, after[name][pid]))
+                yield ValueRow(self._mission.histories[pid].name, name, was, text(name, after[name][pid]))
         for name in reads:
             if name not in slots:
                 yield ValueRow("", name, text(name, before.get(name, UNKNOWN)), text(name, after.get(name, UNKNOWN)))
 
-    def _broken(self, assumption: Assumption, came: _Evaluation, moment: Observation) -> AuditViolation:
+    def _broken(self, assumption: Assumption, came: _Evaluation, observation: Observation) -> AuditViolation:
         trail: Trail = []
         again = self._found.step(self._n, trail)
         again.take(self._step)
         judged(assumption.holds_of_calls, again)
         pid, one = self._step.pid, self._step.one
-        name = self._mission.stories[pid].name
+        name = self._mission.histories[pid].name
         reads = dict.fromkeys(read.rstrip("'") for read in assumption.reads)
         rows = [
             ValueRow(name, read, *(self._meaning.text(read, one[each].content) for each in (read, f"{read}'")))
@@ -198,15 +204,15 @@ class PropertyJudge:
         bound = [each for each in trail if isinstance(each, Bound)]
         why = came.why if came.outcome == "no value" else ""
         where = "from its start to its end"
-        return AuditViolation(moment, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
+        return AuditViolation(observation, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
 
     def _names(self, pids: list[int]) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(self._mission.stories[pid].name for pid in pids))
+        return tuple(dict.fromkeys(self._mission.histories[pid].name for pid in pids))
 
     def _bound(self, bound: list[Bound]) -> tuple[str, ...]:
         found = []
         for name, value, robot in bound:
-            who = f" ({self._mission.stories[value].name})" if robot and value in range(self._n) else ""
+            who = f" ({self._mission.histories[value].name})" if robot and value in range(self._n) else ""
             found.append(f"{name} = {self._meaning.text('', value)}{who}")
         return tuple(found)
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from koordgen.cli import main
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import read_trace_file
-from koordgen.verify.audit.story import mission
+from koordgen.verify.audit.history import mission
+from koordgen.verify.audit.trace_files import read_trace_file
 from tests.verify.audit.fleets import audited, by_name
 from tests.verify.audit.test_audit import HOLDS, edit, home_of
 

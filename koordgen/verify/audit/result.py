@@ -44,7 +44,7 @@ class AuditViolation:
     `robots`: those for which it was false; `bound` and `read`: the values that its formula used; `why`: the reason if
     it had no value. `where`: the time within the round, in words."""
 
-    moment: Observation
+    observation: Observation
     where: str
     robots: tuple[str, ...]
     bound: tuple[str, ...]
@@ -107,12 +107,12 @@ class PropertyResult:
         """Return the outcome of a round; unknown if it was not evaluated."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
-    def close(self, round_: int, told: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
+    def close(self, round_: int, outcomes: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
         """Add the outcomes of one round, by observation or by robot, with the unknown values."""
-        if not told:
+        if not outcomes:
             return
-        worst = min(told, key=lambda each: WORST.index(each[0]))
-        for outcome, missing in told if of_each else [worst]:
+        worst = min(outcomes, key=lambda each: WORST.index(each[0]))
+        for outcome, missing in outcomes if of_each else [worst]:
             self.rounds += outcome != "unknown"
             self.unknown += outcome == "unknown"
             self.violated += outcome in ("violated", "no value")

@@ -11,8 +11,8 @@ from typing import Any
 
 from koordgen.runtime.program.program import Calls
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.verify.audit.meaning import GeneratedProperties
-from koordgen.verify.audit.story import FleetMission, RobotHistory
+from koordgen.verify.audit.history import FleetMission, RobotHistory
+from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.replay.store import RecordedWrites, had_frame
 
 
@@ -24,21 +24,21 @@ class FleetState:
     applied; initially the one before the mission's `first`."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
-        stories = mission.stories
+        histories = mission.histories
         self.round = mission.first - 1
         self.values: dict[str, Any] = {}
-        self._meaning, self._stories = meaning, stories
+        self._meaning, self._stories = meaning, histories
         self._clears = meaning.found.program.clears
         program = meaning.program
         ports = [(f"{m.name}.{p.name}", p.direction) for m in program.modules for p in m.ports]
         self.sensors = [name for name, direction in ports if direction == "sensor"]
         self._actuators = [name for name, direction in ports if direction == "actuator"]
         self._locals = [v.name for v in program.locals]
-        self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, in the model or not
-        self._shared = _Shared(meaning, stories, mission.first)
+        self._own: list[dict[str, Any]] = [{} for _ in histories]  # locals and actuators, in the model or not
+        self._shared = _Shared(meaning, histories, mission.first)
         if mission.first:
             names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
-            self.values = {name: [UNKNOWN] * len(stories) for name in names}
+            self.values = {name: [UNKNOWN] * len(histories) for name in names}
             self.values |= {v.name: UNKNOWN for v in program.shared if v.kind == "allwrite"}
         else:
             self._begin()
@@ -59,8 +59,8 @@ class FleetState:
     def advance(self) -> None:
         """Go on to right after the next round's events; round 0 is `init`."""
         self.round += 1
-        for pid, story in enumerate(self._stories):
-            self._act(pid, story)
+        for pid, history in enumerate(self._stories):
+            self._act(pid, history)
         for name in self._locals:
             self.values[name] = [own.get(name, UNKNOWN) for own in self._own]
         self._sample(self.round)
@@ -68,8 +68,8 @@ class FleetState:
             self._clear(pid)
         for name in self._actuators:
             self.values[name] = [
-                UNKNOWN if story.out_at(self.round) else own.get(name, UNKNOWN)
-                for own, story in zip(self._own, self._stories, strict=True)
+                UNKNOWN if history.out_at(self.round) else own.get(name, UNKNOWN)
+                for own, history in zip(self._own, self._stories, strict=True)
             ]
         self.values.update(self._shared.after(self.round))
 
@@ -79,17 +79,17 @@ class FleetState:
 
     def sampled(self, pid: int, round_: int) -> dict[str, Any]:
         """Return a robot's sensors at a round's start; UNKNOWN while it is outside of the model."""
-        story = self._stories[pid]
+        history = self._stories[pid]
         told = self.record(pid, round_).get("sensors", {})
-        if story.out_at(round_):
+        if history.out_at(round_):
             told = {}
         return {name: self._meaning.value(name, told.get(name, UNKNOWN)) for name in self.sensors}
 
     def record(self, pid: int, round_: int) -> Mapping[str, Any]:
-        story = self._stories[pid]
+        history = self._stories[pid]
         if round_ == 0:
-            return story.init or {}
-        return story.rounds[round_].record if round_ in story.rounds else {}
+            return history.init or {}
+        return history.rounds[round_].record if round_ in history.rounds else {}
 
     def calls(self, pid: int) -> Calls | None:
         """Return the robot's calls of callable ports in this round; None if a value in them is unknown."""
@@ -97,11 +97,11 @@ class FleetState:
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
 
-    def _act(self, pid: int, story: RobotHistory) -> None:
+    def _act(self, pid: int, history: RobotHistory) -> None:
         own, record = self._own[pid], self.record(pid, self.round)
-        if self.round in story.turns:
+        if self.round in history.turns:
             own.clear()
-            self._take(own, story.turns[self.round] or {})
+            self._take(own, history.turns[self.round] or {})
         self._take(own, record.get("restored") or {})
         self._take(own, record)
 
@@ -125,29 +125,29 @@ class FleetState:
 class _Shared:
     """Shared store after each round: as a robot saw it in the next round, else by recorded writes."""
 
-    def __init__(self, meaning: GeneratedProperties, stories: list[RobotHistory], first: int) -> None:
-        self._meaning, self._stories = meaning, stories
-        self._writes = RecordedWrites(meaning.program, len(stories))
-        for story in stories:
-            for record in [story.init or {}, *[line.record for line in story.rounds.values()]]:
-                self._writes.add_record(story.pid, record)
+    def __init__(self, meaning: GeneratedProperties, histories: list[RobotHistory], first: int) -> None:
+        self._meaning, self._stories = meaning, histories
+        self._writes = RecordedWrites(meaning.program, len(histories))
+        for history in histories:
+            for record in [history.init or {}, *[line.record for line in history.rounds.values()]]:
+                self._writes.add_record(history.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
-        self._copies: list[dict[str, Any]] = [{} for _ in stories]  # allread variables by pid
+        self._copies: list[dict[str, Any]] = [{} for _ in histories]  # allread variables by pid
         self._told: dict[str, Any] = {}  # the part of `_store` that is in `_values`, in JSON
         self._values: dict[str, Any] = {}
         if first:  # the store before the first record is unknown
-            for story in stories:
-                self._lose(story.pid)
-                self._see(story, first)
+            for history in histories:
+                self._lose(history.pid)
+                self._see(history, first)
 
     def after(self, round_: int) -> dict[str, Any]:
         """Return the store after a round. Call it for each round in turn, from the first."""
         self._store = dict(self._writes.after(self._store, round_))
-        for story in self._stories:
-            if story.may_act(round_):
-                self._lose(story.pid)
-        for story in self._stories:
-            self._see(story, round_ + 1)
+        for history in self._stories:
+            if history.may_act(round_):
+                self._lose(history.pid)
+        for history in self._stories:
+            self._see(history, round_ + 1)
         for name, told in self._store.items():
             if name not in self._told or self._told[name] != told:
                 slots = name in self._writes.slots
@@ -164,12 +164,12 @@ class _Shared:
             else:
                 self._store[name] = UNKNOWN
 
-    def _see(self, story: RobotHistory, round_: int) -> None:
+    def _see(self, history: RobotHistory, round_: int) -> None:
         """Take the store over as a robot saw it at the start of a round."""
-        copy = self._copies[story.pid]
-        if story.turns.get(round_, copy) is None:
+        copy = self._copies[history.pid]
+        if history.turns.get(round_, copy) is None:
             copy.clear()
-        line = story.rounds.get(round_)
+        line = history.rounds.get(round_)
         if line is None or not had_frame(line.record):
             return
         told = line.record.get("copy", {})
@@ -188,4 +188,4 @@ class _Shared:
                 self._store[name] = copy[name]
         for name, own in line.record.get("shared", {}).items():
             if name in self._writes.slots:
-                copy.setdefault(name, {})[story.pid] = own
+                copy.setdefault(name, {})[history.pid] = own

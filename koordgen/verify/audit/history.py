@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from koordgen.runtime.program.runner import LEFT
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import LOST, TraceFile
+from koordgen.verify.audit.trace_files import LOST, TraceFile
 from koordgen.verify.replay.trace import TraceLine
 
 FOREVER = 1 << 60
@@ -107,7 +107,7 @@ class FleetMission:
     app: str
     delta: float
     start: float | None
-    stories: list[RobotHistory]
+    histories: list[RobotHistory]
     notes: list[str]
     cut: bool
     log: TraceFile  # one of the files; all are of the same program
@@ -116,12 +116,12 @@ class FleetMission:
     @property
     def first(self) -> int:
         """Return the first round that a trace records. 0: everything is recorded, from `init` on."""
-        return min((story.since for story in self.stories if story.lives), default=0)
+        return min((history.since for history in self.histories if history.lives), default=0)
 
     @property
     def last(self) -> int:
         """Return the last round to evaluate: the last one in which a robot in the model has a record."""
-        return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.stories), default=0)
+        return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.histories), default=0)
 
 
 def mission(logs: Sequence[TraceFile]) -> FleetMission:
@@ -141,26 +141,26 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
     left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
     notes += [f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()]
-    stories = [RobotHistory(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
+    histories = [RobotHistory(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
         if life.mission in (chosen, ""):
-            stories[life.pid].lives.append(life)
-    for story in stories:
-        _build_rounds(story)
-    _views(stories)
+            histories[life.pid].lives.append(life)
+    for history in histories:
+        _build_rounds(history)
+    _views(histories)
     notes[:0] = [
-        f"{story.name}'s trace begins in round {story.since}: the older parts are missing (a robot deletes "
+        f"{history.name}'s trace begins in round {history.since}: the older parts are missing (a robot deletes "
         "them when its trace reaches trace_limit)"
-        for story in stories
-        if story.since
+        for history in histories
+        if history.since
     ]
-    missing = [story.name for story in stories if not story.lives]
+    missing = [history.name for history in histories if not history.lives]
     if missing:
         notes.insert(0, f"there is no trace of {', '.join(missing)}")
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
-    cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
+    cut = any(log.flaws for log in logs) or bool(missing) or any(history.lacks for history in histories)
     start, log = starts[0] if starts else None, logs[0]
-    return FleetMission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
+    return FleetMission(chosen, log.app, log.delta, start, histories, notes, cut, log, log.step)
 
 
 def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
@@ -248,11 +248,11 @@ def _chosen(lives: Sequence[ProcessLife]) -> str:
     raise BadTrace(f"{path} and {other} are of different missions of the fleet: {mine} and {its}")
 
 
-def _build_rounds(story: RobotHistory) -> None:
+def _build_rounds(history: RobotHistory) -> None:
     """Build a robot's rounds from its lives. Raises BadTrace."""
-    story.lives.sort(key=_order)
-    teller = _HistoryBuilder(story)
-    for life in story.lives:
+    history.lives.sort(key=_order)
+    teller = _HistoryBuilder(history)
+    for life in history.lives:
         teller.live(life)
     teller.end()
 
@@ -271,8 +271,8 @@ def _order(life: ProcessLife) -> tuple[int, int]:
 class _HistoryBuilder:
     """Builder of one robot's history from its lives."""
 
-    def __init__(self, story: RobotHistory) -> None:
-        self.story = story
+    def __init__(self, history: RobotHistory) -> None:
+        self.history = history
         self.previous = -1  # last round with a record; 0: `init`
         self.doubt = ""  # why there may be rounds after it without a record
         self.came_back = False  # the doubt is due to another life, or to a missing trace
@@ -282,17 +282,17 @@ class _HistoryBuilder:
         self.whose: dict[int, Path] = {}  # round -> file that records it
 
     def live(self, life: ProcessLife) -> None:
-        story = self.story
+        history = self.history
         if not life.continues:
             self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
-            if life is not story.lives[0]:
+            if life is not history.lives[0]:
                 self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
         for line in life.lines:
             record = line.record
             match record["kind"]:
                 case "init":
                     self.own(life, 0)
-                    story.init, self.previous, self.doubt, self.came_back = record, 0, "", False
+                    history.init, self.previous, self.doubt, self.came_back = record, 0, "", False
                 case "checkpoint":
                     self.checkpoint(record)
                 case "round":
@@ -301,30 +301,30 @@ class _HistoryBuilder:
                         self.times.append((_time(record), record["round"]))
                         self.round(life, line)
                 case "monitor":
-                    story.monitors.append(record)
+                    history.monitors.append(record)
                 case "phase" if record["phase"] == "resting" and not self.resting:
                     self.rested, self.resting = _time(record), True
-                    story.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
+                    history.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
                 case kind if kind == LOST:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
         if self.resting:
             since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
-            story.out[-1] = story.out[-1]._replace(since=min(since + 1, self.left))
+            history.out[-1] = history.out[-1]._replace(since=min(since + 1, self.left))
         elif self.left < FOREVER:  # the record of its stop cannot be read
             self.resting = True
-            story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
+            history.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
         """Begin another part of the trace. Unrecorded rounds before it are unknown."""
-        story, round_ = self.story, record["round"]
+        history, round_ = self.history, record["round"]
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
-            story.turns[round_ + 1] = record.get("own")
-            story.lacks = True
+            history.turns[round_ + 1] = record.get("own")
+            history.lacks = True
             if self.previous < 0:
-                story.since = round_ + 1
+                history.since = round_ + 1
             self.previous = round_
         self.doubt, self.came_back = "", False
 
@@ -335,42 +335,44 @@ class _HistoryBuilder:
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"
-            raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both record {what}")
-        return round_ not in self.story.rounds
+            raise BadTrace(
+                f"{before} and {life.log.path} are both of robot {self.history.name}, and both record {what}"
+            )
+        return round_ not in self.history.rounds
 
     def round(self, life: ProcessLife, line: TraceLine) -> None:
-        story, round_ = self.story, line.record["round"]
+        history, round_ = self.history, line.record["round"]
         if self.previous < 0 and not self.doubt:
-            self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
+            self.doubt, self.came_back, history.lacks = f"{life.log.path} begins there", True, True
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
-        if story.out and story.out[-1].until == FOREVER and not self.resting:  # of an earlier life
-            story.out[-1] = story.out[-1]._replace(until=round_)
-        story.rounds[round_] = line
+        if history.out and history.out[-1].until == FOREVER and not self.resting:  # of an earlier life
+            history.out[-1] = history.out[-1]._replace(until=round_)
+        history.rounds[round_] = line
         self.previous = max(self.previous, round_)
 
     def join(self, life: ProcessLife, gap: Gap) -> None:
         """Add the gap before a record, and the state with which a robot that restarted went on."""
-        self.story.quiet.append(gap)
+        self.history.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
-        if self.previous < 0 and self.story.lacks:
-            self.story.since = gap.until if restored is None else max(0, restored["round"])
+        if self.previous < 0 and self.history.lacks:
+            self.history.since = gap.until if restored is None else max(0, restored["round"])
         if restored is None:
             if self.came_back or gap.until > gap.since:
                 self.lose(gap)
         elif restored["round"] >= gap.since:
             self.lose(gap._replace(until=restored["round"] + 1))
-            self.story.turns[restored["round"]] = restored
+            self.history.turns[restored["round"]] = restored
 
     def lose(self, gap: Gap) -> None:
-        self.story.acts.append(gap)
-        self.story.turns[gap.since] = None
+        self.history.acts.append(gap)
+        self.history.turns[gap.since] = None
 
     def end(self) -> None:
         """Add the rounds after the last record, if the robot may have continued."""
-        lives = self.story.lives
+        lives = self.history.lives
         if not lives:
             self.lose(Gap(0, FOREVER, "there is no trace of it"))
         elif self.doubt or not self.resting:
@@ -382,21 +384,21 @@ def _time(record: Mapping[str, Any]) -> float:
     return float(record.get("time", record.get("t", 0.0)))
 
 
-def _views(stories: Sequence[RobotHistory]) -> None:
+def _views(histories: Sequence[RobotHistory]) -> None:
     """Add the rounds in which a robot was removed by the others."""
     views = {
         line.record["number"]: line.record
-        for story in stories
-        for life in story.lives
+        for history in histories
+        for life in history.lives
         for line in life.lines
-        if line.record["kind"] == "view" and len(line.record["members"]) == len(stories)
+        if line.record["kind"] == "view" and len(line.record["members"]) == len(histories)
     }
     since: dict[int, int] = {}
     for _, view in sorted(views.items()):
-        for story, member in zip(stories, view["members"], strict=True):
+        for history, member in zip(histories, view["members"], strict=True):
             if member < 0:
-                since.setdefault(story.pid, view["since"])
-            elif story.pid in since:
-                story.away.append(Gap(since.pop(story.pid), view["since"], "the others had counted it out"))
+                since.setdefault(history.pid, view["since"])
+            elif history.pid in since:
+                history.away.append(Gap(since.pop(history.pid), view["since"], "the others had counted it out"))
     for pid, first in since.items():
-        stories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))
+        histories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))
