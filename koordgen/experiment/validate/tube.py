@@ -91,7 +91,7 @@ class Reachset:
         return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
-        """Return the format of docs/validate.md, with numbers rounded to a tenth of a millimetre."""
+        """Return the format of docs/reference/validate.md, with numbers rounded to a tenth of a millimetre."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity

@@ -2,7 +2,7 @@
 
 Nothing in this module depends on the encoder, so that the obligations of a program can be counted without encoding it
 (`koordgen/verify/prove/obligations/count.py`). The facts about turns follow from the semantics of loops
-(docs/semantics.md, "Loops"); no obligation shows them.
+(docs/reference/semantics.md, "Loops"); no obligation shows them.
 """
 
 from __future__ import annotations

@@ -442,8 +442,8 @@ class SymbolicFrame:
 
 
 # Facts about the turns of a loop that is cut, which hold at its head by the semantics of loops alone. Each rule is
-# stated in docs/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them are
-# satisfiable whatever the program does: by the values at loop entry, with no turn taken.
+# stated in docs/reference/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them
+# are satisfiable whatever the program does: by the values at loop entry, with no turn taken.
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 

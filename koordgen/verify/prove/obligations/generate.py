@@ -2,7 +2,7 @@
 
 Proof by induction. Base: the invariants hold when all robots have run `init`. Induction steps: each event of each robot
 preserves them, whatever others did earlier in the round; so does the environment's step, at each of its instants.
-docs/proofs.md argues that this suffices.
+docs/explanation/proofs.md argues that this suffices.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Formulas that a program states at a loop's head are always assumed there, unless one was found not to hold. The
 program's own invariants that mention a loop-carried variable are candidates: they are assumed until they fail.
-Every formula assumed at a head is shown at loop entry and for each turn (docs/semantics.md).
+Every formula assumed at a head is shown at loop entry and for each turn (docs/reference/semantics.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Trace of a counterexample (docs/sim.md), which simulators and replayers can read."""
+"""Trace of a counterexample (docs/reference/trace.md), which simulators and replayers can read."""
 
 from __future__ import annotations
 
