@@ -1,4 +1,4 @@
-"""A prover that is wrong in one line is caught: each rule of the verification conditions has mutants.
+"""A prover with one wrong line is detected: each rule of the verification conditions has mutants.
 
 A quarter of the mutants is caught each day, all others under `-m slow`.
 """
