@@ -56,7 +56,7 @@ def found(folder: Path, text: str, robots: int, more: tuple[str, ...] = (), comm
 def same(folder: Path, trace: Path, robots: int, served: str = "") -> Followed:
     """Followed, it is violated where the trace says so, and a replay of the run finds no difference."""
     done = follow(folder / "app.koord", fleet(folder, robots, served), trace)
-    assert done.status == 3 and "as the trace says" in done.said, done
+    assert done.status == 3 and "as in the trace" in done.said, done
     replays(done.folder)
     return done
 
@@ -130,7 +130,7 @@ def test_the_command_itself(tmp_path: Path) -> None:
     command += ["--follow", str(trace), "--no-report", "--out", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 3, done.stderr
-    assert done.stdout.splitlines()[-1].endswith("Counted is violated after the same round, as the trace says")
+    assert done.stdout.splitlines()[-1].endswith("Counted is violated after the same round as in the trace")
     replays(tmp_path / "run")
 
 
@@ -272,7 +272,7 @@ def follow_random(folder: Path, seed: int, robots: int, rounds: int) -> str:
     if done.status == 4:
         assert "no rounds of agents lead to the state in the trace" in done.said
         return "another order"
-    assert done.status == 0 and "which did the same" in done.said, done
+    assert done.status == 0 and "with the same results" in done.said, done
     replays(done.folder)
     return "followed"
 
@@ -303,9 +303,12 @@ def _later(plan: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (_other_event, "round 1, robot 1 (r1): the trace says Finish, the agent's guard is false (round 1 of the"),
+        (
+            _other_event,
+            "round 1, robot 1 (r1): the trace executes Finish, but its guard is false in the agent (round 1 of the",
+        ),
         (_other_value, "round 2, robot 0 (r0): added is 1 when the round begins, 2 in the trace (round 2 of the"),
-        (_later, "the trace says Counted: false: added == count(done, True); in the run that is so at"),
+        (_later, "the trace ends with Counted: false: added == count(done, True); the run violates it at"),
     ],
 )
 def test_agents_that_do_something_else_are_a_mistake_of_ours(

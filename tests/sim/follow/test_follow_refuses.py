@@ -98,7 +98,7 @@ def test_an_order_that_agents_do_not_have(tmp_path: Path) -> None:
     assert [r["pid"] for r in map(json.loads, trace.read_text().splitlines()) if r.get("event") == "Tell"] == [1, 0]
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
     # Robots tell in two rounds, since neither reads what the other has written.
-    assert done.status == 3 and "followed in 2 rounds of the agents" in done.said, done
+    assert done.status == 3 and "replayed in 2 rounds of the agents" in done.said, done
     stale = text.replace("last = pid + 1", "last = (pid + 1) * (1 + last)")
     trace = found(tmp_path, stale + "invariant No: last != 1 or not (exists i in ID: told[i] and i == 1)\n", 2)
     said = refused(tmp_path, trace, status=4)  # the language has it, so the file is not wrong

@@ -337,7 +337,10 @@ def test_contracts_and_functions_of_the_users_own_are_judged(
     (line,) = [k for k, text in enumerate(CONTRACT.splitlines(), 1) if "ensures" in text]
     requires, ensures = (p for p in document["properties"] if p["of"] == "contract")
     assert status == 3 and (requires["verdict"], ensures["verdict"], ensures["line"]) == ("held", "violated", line)
-    assert "against what it ensures" in ensures["first"]["read"][0] and found["well-defined"]["verdict"] == "held"
+    assert (
+        "which breaks its postcondition (line" in ensures["first"]["read"][0]
+        and found["well-defined"]["verdict"] == "held"
+    )
     assert found["Small"]["verdict"] == "held" and found["More"]["verdict"] == "no value", "it asks where no result is"
     (folder / "source/app_functions.py").unlink()
     assert main(["audit", str(folder / "robots")]) == 1

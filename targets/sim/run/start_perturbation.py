@@ -1,4 +1,4 @@
-"""Where robots start in one run: near the places that the fleet file gives them, as the seed has it."""
+"""Start perturbation: random start poses near those of the fleet file, determined by the seed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from targets.sim.base.scenario import Robot, Scenario, check_starts
 
 
 def scattered(scenario: Scenario, seed: int) -> Scenario:
-    """Each start moved by at most the setting `start_noise` in x and in y (metres) and turned by at most as many
-    radians, evenly. Raises BadScenario when one cannot be."""
+    """Perturb each start uniformly by at most `start_noise`: metres in x and y, radians in yaw.
+
+    Raises BadScenario if a perturbed start is not possible."""
     most = scenario.number("start_noise", 0.0)
     if not most:
         return scenario

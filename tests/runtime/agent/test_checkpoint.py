@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.lineform import PROGRAM
+from koordgen.runtime.agent.checkpoint import CheckpointFile, LocalsCodec
 from koordgen.runtime.agent.records import KEPT, Acceptor, Loaded, Locals, Mission
-from koordgen.runtime.agent.store import LocalsCodec, Store
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.program.program import Program, Variable
 from koordgen.runtime.values.bounds import Blob, Fixed, Many, Text
@@ -39,8 +39,8 @@ class Kept:
         self.path = path
         self.warned: list[str] = []
 
-    def open(self, program: Program = PROGRAM, robot: str = "alice", pid: int = 0, n: int = 3) -> Store:
-        return Store.open(self.path, program, robot, pid, n, self.warned.append)
+    def open(self, program: Program = PROGRAM, robot: str = "alice", pid: int = 0, n: int = 3) -> CheckpointFile:
+        return CheckpointFile.open(self.path, program, robot, pid, n, self.warned.append)
 
     def found(self) -> Loaded:
         store = self.open()
@@ -55,7 +55,7 @@ def kept(tmp_path: Path) -> Kept:
     return Kept(tmp_path / "state" / "alice.state")
 
 
-def filled(kept: Kept) -> Store:
+def filled(kept: Kept) -> CheckpointFile:
     store = kept.open()
     assert store.write(MISSION) and store.write(ACCEPTOR)
     for round_ in range(1, 21):
@@ -147,7 +147,7 @@ def test_a_file_that_is_not_ours_is_not_touched(kept: Kept) -> None:
 
 
 def test_without_a_folder_nothing_is_kept() -> None:
-    store = Store.open(None, PROGRAM, "alice", 0, 3, pytest.fail)
+    store = CheckpointFile.open(None, PROGRAM, "alice", 0, 3, pytest.fail)
     assert not store.keeps and not store.write(MISSION)
     store.clear()
     assert store.load() == Loaded()
@@ -248,9 +248,9 @@ def test_damaged_votes_of_no_mission_are_not_worth_a_word(kept: Kept) -> None:
 
 def test_kill_9_loses_nothing_that_was_written(kept: Kept) -> None:
     code = (
-        "import sys; from pathlib import Path; from koordgen.runtime.agent.store import *; "
+        "import sys; from pathlib import Path; from koordgen.runtime.agent.checkpoint import *; "
         "from benchmarks.fixtures.lineform import PROGRAM\n"
-        "store = Store.open(Path(sys.argv[1]), PROGRAM, 'alice', 0, 3, print)\n"
+        "store = CheckpointFile.open(Path(sys.argv[1]), PROGRAM, 'alice', 0, 3, print)\n"
         "for r in range(1, 10**9):\n"
         "    store.write(Locals(r, 0, b'\\x91\\x05', b'\\x91\\xc0', False))\n"
         "    sys.stdout.write(f'{r}\\n'); sys.stdout.flush()\n"
@@ -283,9 +283,9 @@ BIG = replace(PROGRAM, locals=(Variable("data", "local", Opaque, Blob(10_000, "D
 def test_a_full_disk_is_told_before_anything_moves(full_disk: Path) -> None:
     path = full_disk / "alice.state"
     with pytest.raises(CannotOpen, match=r"No space left on device; it takes 100 KiB; make room"):
-        Store.open(path, BIG, "alice", 0, 3, pytest.fail)
+        CheckpointFile.open(path, BIG, "alice", 0, 3, pytest.fail)
     assert not path.exists(), "nor is room taken for nothing"
-    store = Store.open(path, PROGRAM, "alice", 0, 3, pytest.fail)
+    store = CheckpointFile.open(path, PROGRAM, "alice", 0, 3, pytest.fail)
     assert store.keeps
     store.close()
 

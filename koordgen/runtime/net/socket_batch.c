@@ -1,8 +1,8 @@
-/* The courier of one robot's process: waits for datagrams, drains its sockets, and sends from the first of them.
+/* Batch socket I/O of one robot's process: waits for datagrams, drains its sockets, and sends from the first of them.
 
    It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, and writes only where its
-   caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; the same
-   tests run against both. courier.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
+   caller, socket_batch.py, tells it to. Where there is no compiler, inbox.py does the same in Python; the same
+   tests run against both. socket_batch.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
 
    C99, POSIX, and Linux's recvmmsg. */
 
@@ -35,11 +35,11 @@ static const unsigned long SLACK = 1000;  /* by which a sleep may end later than
 static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 
-typedef struct { /* what courier.py reads and writes, field by field */
+typedef struct { /* what socket_batch.py reads and writes, field by field */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
     int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
     int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
-    int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
+    int32_t errors, error[MOST_ERRORS]; /* of receiving; socket_batch.py empties it */
     int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
 } Shown;
 
@@ -68,12 +68,12 @@ static int64_t now(void) {
 
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
-size_t courier_inbox_size(void) { return sizeof(Inbox); }
-size_t courier_shown_size(void) { return sizeof(Shown); }
+size_t socket_batch_inbox_size(void) { return sizeof(Inbox); }
+size_t socket_batch_shown_size(void) { return sizeof(Shown); }
 
 /* `slots` must live as long as the inbox; `shares`: others of the group are on this computer. Of this thread, sleeps become
    exact. */
-void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t count, int32_t shares) {
+void socket_batch_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t count, int32_t shares) {
     memset(inbox, 0, sizeof *inbox);
     inbox->slots = slots;
     inbox->shares = shares;
@@ -90,10 +90,10 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
 }
 
 /* From now on its sockets are not looked at: their numbers may become another's. What was not taken is gone. */
-void courier_close(Inbox *inbox) { inbox->sockets = 0; }
+void socket_batch_close(Inbox *inbox) { inbox->sockets = 0; }
 
 /* Where a place is, as the system writes addresses. One that it cannot have is none. */
-void courier_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
+void socket_batch_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
     if (place < 0 || place >= PLACES) return;
     inbox->address_size[place] = 0;
     if ((size_t)size > sizeof inbox->address[place]) return; /* as is one of less than no bytes */
@@ -111,7 +111,7 @@ static void remember(Inbox *inbox, const uint8_t *datagram, int32_t length) {
 /* Send to a place, or not at all: it never blocks. Returns 0 or errno. What goes to the group is remembered first, and
    also when it fails: the system may have given it back by then. Who has sent it lets those go first that share the core
    and have not: all wait for the last of them. */
-int32_t courier_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
+int32_t socket_batch_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
     if (!inbox->sockets) return EBADF;
     if (place < 0 || place >= PLACES || !inbox->address_size[place]) return EDESTADDRREQ;
     if (place == GROUP) remember(inbox, datagram, length);
@@ -259,7 +259,7 @@ static int32_t found(const Inbox *inbox) { return inbox->shown.errors ? -1 : inb
 
 /* See Transport.wait; both durations are in microseconds. What was found before is kept, and counts, if it was not taken.
    Ends early when a signal comes. Returns what it has found. */
-int32_t courier_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t duration, int32_t patience) {
+int32_t socket_batch_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t duration, int32_t patience) {
     Shown *shown = &inbox->shown;
     int64_t begin = now(), end = begin + MICROSECOND * duration, until = least(end, begin + MICROSECOND * patience);
     int keep = !taken && shown->used;
@@ -272,7 +272,7 @@ int32_t courier_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t dura
 }
 
 /* Take what waits, without waiting. Returns what it has found. */
-int32_t courier_receive(Inbox *inbox) {
+int32_t socket_batch_receive(Inbox *inbox) {
     empty(&inbox->shown);
     drain(inbox);
     return found(inbox);

@@ -1,9 +1,8 @@
-"""What a planar lidar sees: how far it is in each direction to what stands there, in closed form.
+"""Ray casting of planar lidars: distances to obstacles and robots in each direction, in closed form.
 
-Obstacles are cut at the lidar's height into line segments and circles; other robots stay what they are, boxes and
-cylinders that may be tilted. For each of these only those rays are reckoned that may meet it, found by the angles
-between which it is seen; all of these rays, of all lidars that look at once, are one array.
-"""
+Obstacles are cut at the lidar's height into line segments and circles. Other robots stay boxes and cylinders, which may
+be tilted. For each shape, only the rays within the angles at which it is visible are computed. All these rays, of all
+lidars of a call, are one array."""
 
 from __future__ import annotations
 
@@ -20,14 +19,15 @@ from targets.sim.base.bodies import Vector
 from targets.sim.physics.rigid import Array, Mask, total
 
 Index = NDArray[np.int64]
-_LEVEL = 1.0 - 5e-7  # cosine of the tilt up to which a body is upright: a thousandth, less than 0.1 mm on a car
-_SEAM = 1e-9  # of a segment's length by which it is longer, or rays would pass between two
+_LEVEL = 1.0 - 5e-7  # cosine of the tilt up to which a body counts as upright: 0.001 rad, less than 0.1 mm on a car
+_SEAM = 1e-9  # share of its length by which a segment is extended, so that no ray passes between two segments
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
-    """A lidar: where it is (m), how many rays it has, evenly over the full turn and the first to the east, how far
-    they go (m), and the number of the body that it is mounted on and does not see."""
+class LidarMount:
+    """A lidar: position (m), number of rays, range (m), and number of the body that it is mounted on.
+
+    Rays are spread evenly over the full turn; the first points east. The lidar does not see its own body."""
 
     place: Vector
     rays: int
@@ -37,8 +37,10 @@ class Eye:
 
 @dataclass(frozen=True, slots=True)
 class Bodies:
-    """The other robots: centres (3, n), rotation matrices (3, 3, n), edges of the box or of the box around the upright
-    cylinder (3, n), which of them are cylinders, how far each extends from its centre, their numbers."""
+    """The robots: centres (3, n), rotation matrices (3, 3, n), sizes (3, n), shapes, radii and numbers.
+
+    `sizes`: edges of the box, or of the box around the upright cylinder. `round`: cylinders. `reach`: how far each
+    extends from its centre."""
 
     centres: Array
     turned: Array
@@ -49,29 +51,31 @@ class Bodies:
 
     @property
     def level(self) -> Mask:
-        """Which of them stand upright."""
+        """Mask of the upright bodies."""
         found: Mask = self.turned[2, 2] > _LEVEL
         return found
 
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """What stands at one height: segments (n, 4) as x, y of both ends, seen only by who has the second end to the right
-    of the first; circles (n, 3) as x, y and radius."""
+    """Obstacles at one height.
+
+    `segments` (n, 4): x, y of both ends; visible only from the side where the second end is to the right of the first.
+    `circles` (n, 3): x, y, radius."""
 
     segments: Array
     circles: Array
 
 
-class Scenery:
-    """All that stands there; obstacles are numbered from 0 in the order in which they came."""
+class ObstacleMap:
+    """All obstacles, numbered from 0 in the order of creation."""
 
     def __init__(self) -> None:
         self._obstacles: list[Obstacle] = []
         self._last: tuple[float, Slice] | None = None
 
     def stand(self, obstacle: Obstacle) -> None:
-        """One more."""
+        """Add an obstacle."""
         self._obstacles.append(obstacle)
         self._last = None
 
@@ -82,7 +86,9 @@ class Scenery:
         return moved
 
     def cut(self, z: float) -> Slice:
-        """At a height (m). That of the last call is kept: cars always ask for the same."""
+        """Return the obstacles at a height (m).
+
+        The last result is kept, for a car always asks for the same height."""
         if self._last is None or self._last[0] != z:
             segments: list[tuple[float, float, float, float]] = []
             circles: list[Vector] = []
@@ -105,10 +111,11 @@ def shifted(obstacle: Obstacle, by: Point) -> Obstacle:
             return Mesh(tuple(each + by for each in vertices), faces)
 
 
-def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
-    """For each lidar how far (m) each of its rays goes until an obstacle or another body; infinite: beyond its range.
-    The floor ends no ray, nor does a solid that the lidar is inside of."""
-    field = _Field(eyes)
+def cast_rays(eyes: Sequence[LidarMount], scenery: ObstacleMap, bodies: Bodies) -> list[Array]:
+    """Return the distance (m) along each ray to the first obstacle or other body; inf beyond the range.
+
+    The floor ends no ray, nor does a solid that contains the lidar."""
+    field = _Rays(eyes)
     slices = [scenery.cut(eye.place[2]) for eye in eyes]
     others = field.others(bodies)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -119,13 +126,13 @@ def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
         ways = field.ways[:, rays]
         distances = np.concatenate(
             (
-                segments.met(things[:split], ways[:, :split]),
-                circles.met(things[split:] - segments.count, ways[:, split:]),
+                segments.distances(things[:split], ways[:, :split]),
+                circles.distances(things[split:] - segments.count, ways[:, split:]),
             )
         )
-        field.hit(rays, distances)
+        field.shorten(rays, distances)
         if not bodies.level.all():
-            _see_tilted(field, bodies, others)
+            _cast_at_tilted(field, bodies, others)
     found = []
     for eye, first in zip(eyes, field.first.tolist(), strict=True):
         ranges = field.nearest[first : first + eye.rays]
@@ -135,7 +142,7 @@ def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
 
 
 def _outlines(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
-    """The four sides of those boxes that stand upright, as segments, and which lidar may see them."""
+    """Return the sides of the upright boxes as segments, each with a lidar that may see it."""
     eye, body = np.nonzero(others & bodies.level & ~bodies.round)
     if not len(eye):
         return eye, np.zeros((4, 0))
@@ -149,26 +156,26 @@ def _outlines(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
 
 
 def _sections(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
-    """Those cylinders that stand upright, as circles, and which lidar may see them."""
+    """Return the upright cylinders as circles, each with a lidar that may see it."""
     eye, body = np.nonzero(others & bodies.level & bodies.round)
     return eye, np.concatenate((bodies.centres[:2, body], bodies.sizes[:1, body] / 2))
 
 
-class _Field:
-    """All rays of some lidars, one after the other, and how far each has got."""
+class _Rays:
+    """Rays of all lidars in one array, with the nearest distance of each so far."""
 
-    def __init__(self, eyes: Sequence[Eye]) -> None:
+    def __init__(self, eyes: Sequence[LidarMount]) -> None:
         self.eyes = eyes
         self.rays = np.array([eye.rays for eye in eyes], dtype=np.int64)
         self.range = np.array([eye.range for eye in eyes])
         self.places = np.array([eye.place[:2] for eye in eyes]).T
         self.first: Index = np.cumsum(self.rays) - self.rays
-        angles = [_turn(eye.rays) for eye in eyes]
+        angles = [_ray_directions(eye.rays) for eye in eyes]
         self.ways = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
         self.nearest = np.full(self.ways.shape[1], np.inf)
 
     def others(self, bodies: Bodies) -> Mask:
-        """Which bodies each lidar may see: all at its height but its own, (lidars, n)."""
+        """Return which bodies each lidar may see, (lidars, n): all at its height except its own."""
         heights = np.array([[eye.place[2]] for eye in self.eyes])
         unseen = np.array([[eye.unseen] for eye in self.eyes])
         tall = np.where(bodies.level, bodies.sizes[2] / 2, bodies.reach)
@@ -176,8 +183,9 @@ class _Field:
         return found
 
     def spread(self, eye: Index, begin: Array, width: Array) -> tuple[Index, Index]:
-        """The rays of lidars between the angles `begin` and `begin + width`, one more at each side: for each the
-        number of the thing that is asked about, and its own."""
+        """Return the rays of lidars between the angles `begin` and `begin + width`, plus one at each side.
+
+        For each ray: index of the shape it is tested with, and its own index."""
         each = self.rays[eye]
         step = math.tau / each
         lowest = np.floor(begin / step).astype(np.int64)
@@ -186,24 +194,24 @@ class _Field:
         ray = np.arange(len(thing)) + (lowest - (np.cumsum(count) - count))[thing]
         return thing, self.first[eye][thing] + ray % each[thing]
 
-    def hit(self, ray: Index, distance: Array) -> None:
-        """Some rays end there, at the latest."""
+    def shorten(self, ray: Index, distance: Array) -> None:
+        """Shorten rays to at most these distances."""
         np.minimum.at(self.nearest, ray, distance)
 
 
-_turns: dict[int, Array] = {}
+_directions: dict[int, Array] = {}
 
 
-def _turn(rays: int) -> Array:
-    """The directions of so many rays, (2, n)."""
-    if rays not in _turns:
+def _ray_directions(rays: int) -> Array:
+    """Return the directions of evenly spread rays, (2, n)."""
+    if rays not in _directions:
         angles = np.arange(rays) * (math.tau / rays)
-        _turns[rays] = np.stack((np.cos(angles), np.sin(angles)))
-    return _turns[rays]
+        _directions[rays] = np.stack((np.cos(angles), np.sin(angles)))
+    return _directions[rays]
 
 
-def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
-    """The things of all lidars, and what they see of others, seen from there, a column each; and each one's lidar."""
+def _gathered(field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
+    """Return all shapes relative to their lidars, one column each, and the lidar of each column."""
     eye = np.concatenate((np.repeat(np.arange(len(parts)), [len(part) for part in parts]), others[0]))
     things = np.concatenate((*(part.T for part in parts), others[1]), axis=1)
     places = field.places[:, eye]
@@ -214,21 +222,22 @@ def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) ->
 
 
 class _Segments:
-    """Those within the lidars' ranges. `seen` is for `_Field.spread`."""
+    """Segments within the lidars' ranges. `seen` holds the arguments of `_Rays.spread`."""
 
-    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+    def __init__(self, field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> None:
         eye, ends = _gathered(field, parts, others)
         along = ends[2:] - ends[:2]
-        area = ends[0] * along[1] - ends[1] * along[0]  # length by the line's distance, signed by which side it is on
+        # length times distance of the line, signed by the side on which the lidar is
+        area = ends[0] * along[1] - ends[1] * along[0]
         near = area * area < (field.range * field.range)[eye] * total(along * along)
-        near &= area < 0.0  # its outer side
+        near &= area < 0.0  # the lidar is on the outer side
         self._of_each = np.concatenate((ends[:2], along, area[None]))[:, near]
         end, begin = np.arctan2(ends[1::2, near], ends[::2, near])
         self.seen = eye[near], begin, (end - begin) % math.tau
         self.count = len(begin)
 
-    def met(self, thing: Index, way: Array) -> Array:
-        """How far rays go until their segments; infinite: past them."""
+    def distances(self, thing: Index, way: Array) -> Array:
+        """Return the distances along rays to their segments; inf for a miss."""
         x, y, along_x, along_y, area = self._of_each[:, thing]
         turned = way[0] * along_y - way[1] * along_x
         distance: Array = area / turned
@@ -238,9 +247,9 @@ class _Segments:
 
 
 class _Circles:
-    """As `_Segments`."""
+    """Circles within the lidars' ranges, with the interface of `_Segments`."""
 
-    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+    def __init__(self, field: _Rays, parts: list[Array], others: tuple[Index, Array]) -> None:
         eye, circles = _gathered(field, parts, others)
         away = np.hypot(circles[0], circles[1])
         near = (away > circles[2]) & (away - circles[2] < field.range[eye])
@@ -248,17 +257,17 @@ class _Circles:
         half = np.arcsin(circles[2] / away[near])
         self.seen = eye[near], np.arctan2(circles[1], circles[0]) - half, 2 * half
 
-    def met(self, thing: Index, way: Array) -> Array:
-        """As `_Segments`."""
+    def distances(self, thing: Index, way: Array) -> Array:
+        """Return the distances along rays to their circles; inf for a miss."""
         x, y, radius = self._of_each[:, thing]
         aside = way[0] * y - way[1] * x
         distance: Array = way[0] * x + way[1] * y - np.sqrt(radius * radius - aside * aside)
-        distance[~(distance >= 0.0)] = np.inf  # not a number where the ray passes by
+        distance[~(distance >= 0.0)] = np.inf  # NaN for a miss
         return distance
 
 
-def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
-    """Rays in the frame of the body: where each is within its limits along it, and across it."""
+def _cast_at_tilted(field: _Rays, bodies: Bodies, others: Mask) -> None:
+    """Shorten the rays that hit tilted bodies, computed in each body's frame."""
     places = np.array([eye.place for eye in field.eyes])
     apart = bodies.centres.T[None] - places[:, None]
     away = np.hypot(apart[:, :, 0], apart[:, :, 1])
@@ -275,24 +284,24 @@ def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
     way_x, way_y = field.ways[:, ray]
     way = turned[0][:, thing] * way_x + turned[1][:, thing] * way_y
     limits = bodies.sizes[:, body[thing]] / 2
-    # Along an axis that the ray is level with these are infinite, and both of one sign where it passes by.
+    # Infinite along an axis that the ray is perpendicular to; both of the same sign for a miss.
     one, other = (-limits - origin) / way, (limits - origin) / way
     begins, ends = np.fmin(one, other), np.fmax(one, other)
     rounded = bodies.round[body[thing]]
     a, c = total(way[:2] * way[:2]), total(origin[:2] * origin[:2]) - limits[0] * limits[0]
     b = total(way[:2] * origin[:2])
-    half_chord = np.sqrt(b * b - a * c)  # not a number where the ray passes by
+    half_chord = np.sqrt(b * b - a * c)  # NaN for a miss
     begins[:2] = np.where(rounded, (-b - half_chord) / a, begins[:2])
     ends[:2] = np.where(rounded, (half_chord - b) / a, ends[:2])
     distance = np.maximum.reduce(begins)
     distance[~((distance >= 0.0) & (distance <= np.minimum.reduce(ends)))] = np.inf
-    field.hit(ray, distance)
+    field.shorten(ray, distance)
 
 
 def _cut(
     obstacle: Obstacle, z: float, segments: list[tuple[float, float, float, float]], circles: list[Vector]
 ) -> None:
-    """An obstacle at a height."""
+    """Cut an obstacle at a height."""
     match obstacle:
         case Block(lo, hi) if lo.z <= z <= hi.z:
             corners = ((lo.x, lo.y), (hi.x, lo.y), (hi.x, hi.y), (lo.x, hi.y))
@@ -303,13 +312,13 @@ def _cut(
             circles.append((base.x, base.y, radius))
         case Mesh(vertices, faces):
             for face in faces:
-                cut = _crossed([vertices[i] for i in face], z)
-                if cut is not None:  # seen from both sides
+                cut = _triangle_section([vertices[i] for i in face], z)
+                if cut is not None:  # visible from both sides
                     segments += [cut, (*cut[2:], *cut[:2])]
 
 
-def _crossed(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:
-    """Where a triangle is at a height: corners at that very height count as above it."""
+def _triangle_section(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:
+    """Return the section of a triangle at a height. A corner at exactly that height counts as above it."""
     found: list[tuple[float, float]] = []
     for p, q in zip(corners, corners[1:] + corners[:1], strict=True):
         if (p.z < z) != (q.z < z):

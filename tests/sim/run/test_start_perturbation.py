@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from koordgen.runtime.trace.schema import Box
-from targets.sim.base.scenario import BadScenario, Origin, Robot, Scenario, Start
-from targets.sim.run.scatter import scattered
+from targets.sim.base.scenario import BadScenario, GeodeticOrigin, Robot, Scenario, Start
+from targets.sim.run.start_perturbation import scattered
 
 
 def fleet(noise: float, wide: float = 5.0) -> Scenario:
@@ -14,7 +14,9 @@ def fleet(noise: float, wide: float = 5.0) -> Scenario:
         Robot(f"r{pid}", pid, "car", "", "car", "drive", Start((2.0 * pid, 0.0, 0.0), 1.0)) for pid in range(2)
     )
     fence = Box((-wide, -wide, -1.0), (wide, wide, 1.0))
-    return Scenario("app", "app.koord", "", 0.1, Origin(0.0, 0.0, 0.0), fence, robots, harness={"start_noise": noise})
+    return Scenario(
+        "app", "app.koord", "", 0.1, GeodeticOrigin(0.0, 0.0, 0.0), fence, robots, harness={"start_noise": noise}
+    )
 
 
 def test_without_noise_all_start_where_the_fleet_file_says() -> None:

@@ -1,8 +1,7 @@
-"""Modules of one robot's bundle in a process of many: its program, and its user's drivers, functions and planners.
+"""Modules of one robot's bundle in a shared process: its program, drivers, functions and planners.
 
-Each bundle has modules of the same names, and what is in them belongs to one robot. They are in `sys.modules` only
-while that robot's code runs. The runtime and the targets are shared: the sim bundle has the same.
-"""
+Bundles have modules of the same names with different content. Each robot's modules are in `sys.modules` only while its
+code runs. The runtime and the targets are shared: they are the same in all bundles of a sim bundle."""
 
 from __future__ import annotations
 
@@ -16,9 +15,11 @@ from typing import IO
 SHARED = ("koordgen", "targets", "__main__")
 
 
-class Own:
-    """`with own:` code of this robot's bundle runs. Its user's code finds a `time` that tells the run's clock and
-    does not sleep, and prints into `log`."""
+class BundleModules:
+    """Context manager in which code of one robot's bundle runs.
+
+    The user's code gets a `time` module that reads the run's clock and does not sleep, and its output goes into
+    `log`."""
 
     def __init__(self, bundle: Path, clock: Callable[[], float], today: Callable[[], float], log: IO[str]) -> None:
         self._path = str(bundle)
@@ -29,7 +30,7 @@ class Own:
         self._count = 0
         self._hidden: dict[str, ModuleType] = {}
         self._streams = sys.stdout, sys.stderr
-        self.idle = self._names <= {"program", "properties"}  # these need none of this once they are loaded
+        self.idle = self._names <= {"program", "properties"}  # no user code: nothing to switch after loading
 
     def __enter__(self) -> None:
         sys.path.insert(0, self._path)
@@ -43,7 +44,7 @@ class Own:
 
     def __exit__(self, *error: object) -> None:
         sys.stdout, sys.stderr = self._streams
-        if len(sys.modules) != self._count:  # something was imported
+        if len(sys.modules) != self._count:  # new modules were imported
             self._modules = {n: m for n, m in sys.modules.items() if n.partition(".")[0] in self._names}
         for name in self._modules:
             sys.modules.pop(name, None)
@@ -54,7 +55,7 @@ class Own:
 
 
 def _clock_module(clock: Callable[[], float], today: Callable[[], float]) -> ModuleType:
-    """`time` for a user's code."""
+    """Return a `time` module for the user's code."""
     module = ModuleType("time", time.__doc__)
     module.__dict__.update({k: v for k, v in vars(time).items() if not k.startswith("__")})
     for name, tell in (("monotonic", clock), ("perf_counter", clock), ("process_time", clock), ("time", today)):

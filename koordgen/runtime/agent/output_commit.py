@@ -1,8 +1,8 @@
-"""Output commit: what rounds have led to waits here until they are committed.
+"""Output commit: outputs of rounds wait here until the rounds are committed.
 
-An event changes its own robot's variables at once, a transaction when it has won. All that leaves the robot (commands,
-lines, trace) waits until the round is committed: an event that the fleet does not count never moves a robot.
-"""
+An event changes its own robot's variables at once, a transaction once it has won. Everything that leaves the robot
+(commands, lines, trace) waits until the round is committed: an event that the fleet does not count never moves a
+robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 
-MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
+MOST_WAITING = 64  # records; if more wait, the record of an idle round is dropped
 AHEAD = 3  # rounds beyond the last committed one in which events without outputs may still run
 
 
@@ -27,16 +27,15 @@ class _Waiting:
     life: Life | None
 
 
-class Outbox:
-    """Records of rounds that wait, by ascending round.
+class OutputCommit:
+    """Records of uncommitted rounds, in ascending order.
 
-    `lives`: those that the robot may have to go back to; the first is committed. `first`: the first round whose outputs
-    wait, or None.
-    """
+    `lives`: states that the robot may have to roll back to; the first is committed. `first`: the first round whose
+    outputs wait, or None."""
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
-        self._commit: _Waiting | None = None  # of which it is not known whether it has won
+        self._commit: _Waiting | None = None  # a transaction whose result is unknown
         self.lives = [life]
         self.first: int | None = None
 
@@ -60,7 +59,7 @@ class Outbox:
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """Add a round's record, with the life that its event has led to, if there was one."""
+        """Add a round's record, with the life that its event led to, if any."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
             self._waiting.append(waiting)
@@ -95,14 +94,16 @@ class Outbox:
         first, commit = self._waiting[0], self._commit
         if commit is not None and state.applied >= commit.record.round:
             return True
-        return first.lock < 0 and _is_certain(first.record, state)
+        return first.lock < 0 and _is_committed(first.record, state)
 
     def ready(self, state: StateMachine | None) -> list[Record]:
-        """Return the committed records, by ascending round; without a store, those before the first with an event."""
+        """Return the committed records, by ascending round.
+
+        Without a store, those before the first with an event."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
-            if not _is_certain(waiting.record, state):
+            if not _is_committed(waiting.record, state):
                 break
             self._waiting.popleft()
             found.append(waiting.record)
@@ -117,7 +118,8 @@ class Outbox:
 
         Return the life to go on with, or None if it is not known any more, and all records, now that they are decided.
         """
-        proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]  # it may have won after all
+        # the proposed transaction may have won
+        proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]
         life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
         found = []
         for waiting in self._waiting:
@@ -137,7 +139,7 @@ class Outbox:
         self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
-def _is_certain(record: Record, state: StateMachine | None) -> bool:
+def _is_committed(record: Record, state: StateMachine | None) -> bool:
     """Return whether no view can leave out what an event wrote, or what an event without effect has read."""
     if record.effects is None and record.frame is None:
         return True

@@ -1,43 +1,44 @@
-"""What a robot keeps of itself during a mission, and what it finds of an earlier process of its own."""
+"""Persistence: state that a robot writes during a mission, and state found from an earlier process."""
 
 from __future__ import annotations
 
 import msgspec
 
+from koordgen.runtime.agent.checkpoint import CheckpointStore, LocalsCodec
 from koordgen.runtime.agent.records import Acceptor, Loaded, Locals, Mission
-from koordgen.runtime.agent.store import Keeper, LocalsCodec
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.program.program import Life, Program
 from koordgen.runtime.replication.messages import HardState, Vote
 
 
-class Keeping:
-    """`past` is what an earlier process of this robot has kept; empty once a mission of one's own begins."""
+class Persistence:
+    """Persistent state of one robot. `past`: state of an earlier process; empty once a new mission begins."""
 
-    def __init__(self, store: Keeper, program: Program, n_sys: int) -> None:
+    def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
         self._store = store
         self._codec = LocalsCodec(program)
         self._n = n_sys
-        self._epoch = b""  # the mission that is kept
-        self._said: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""  # and their encodings
+        self._epoch = b""  # epoch of the persisted mission
+        # last view and vote, with their encodings
+        self._said: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""
         self.past = store.load()
         if self.past.mission is not None:
             self._epoch = self.past.mission.epoch
 
     @property
     def interrupted(self) -> bytes:
-        """The mission that an earlier process was in when it died; empty for none."""
+        """Epoch of the mission that an earlier process died in; b"" for none."""
         return self.past.mission.epoch if self.past.mission is not None else b""
 
     def forget(self) -> None:
-        """Nothing of an earlier process, or of a mission that is over, counts any more."""
+        """Erase all state: of an earlier process, or of a mission that is over."""
         self.past = Loaded()
         self._epoch = b""
         self._store.clear()
 
     def mission(self, epoch: bytes, init: Life) -> None:
-        """Keep to which mission this robot belongs, before it says so."""
+        """Persist the mission that this robot belongs to, before announcing it."""
         if epoch not in (b"", self._epoch):
             self._epoch = epoch
             self._store.write(Mission(epoch, 0, b""))
@@ -49,7 +50,7 @@ class Keeping:
         self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
 
     def hard_state(self, state: HardState) -> None:
-        """Persist what this robot has committed itself to."""
+        """Persist the promises that this robot made to others."""
         view, applied, vote = state.view, state.applied, state.vote
         known_view, known_vote, encoded, value = self._said
         if view is not known_view or vote is not known_vote:
@@ -58,7 +59,7 @@ class Keeping:
         self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
 
     def lives(self) -> list[Life]:
-        """Those that an earlier process has kept, ascending; may be empty."""
+        """Return the lives that an earlier process has persisted, in ascending order; may be empty."""
         found = []
         for kept in self.past.locals:
             decoded = self._codec.decode(kept.locals, kept.actuators)
@@ -67,7 +68,7 @@ class Keeping:
         return found
 
     def last_hard_state(self) -> HardState:
-        """Return what an earlier process of this robot has persisted, or the hard state of a new mission."""
+        """Return the hard state that an earlier process has persisted, or that of a new mission."""
         kept = self.past.acceptor
         if kept is None:
             return first_hard_state(self._n)
@@ -77,5 +78,5 @@ class Keeping:
 
 
 def first_hard_state(n_sys: int) -> HardState:
-    """Return the hard state at the beginning of a mission: all robots count."""
+    """Return the hard state at the beginning of a mission: all robots are members."""
     return HardState(View(0, 1, (0,) * n_sys), 0, Vote())

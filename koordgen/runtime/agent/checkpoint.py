@@ -1,14 +1,13 @@
-"""Store of the records that a robot finds again after its process was killed: a file of fixed length.
+"""Checkpoint file: records that survive a crash of a robot's process, in a file of fixed length.
 
-All of the file is allocated when it is opened, so a full disk is told before anything moves. A record is one `pwrite`
-into a slot of its own kind; a slot counts only when its digest is right, so a write that was cut short is as if it had
-never begun, and the records before it are still there. Nothing is synced to the disk: the file survives the death of
-the process, not a loss of power.
+The whole file is allocated when it is opened, so a full disk is reported before the robot moves. A record is one
+`pwrite` into a slot of its kind. A slot is valid only if its digest is right, so an interrupted write has no effect,
+and the records before it remain. Nothing is synced to the disk: the file survives a crash of the process, not a loss of
+power.
 
-An acceptor record lies within one page of memory, and a process that dies leaves such a write undone or done. So an
-acceptor record with a wrong digest is damage, and what this robot promised the others may be lost: all is forgotten
-then, since a robot that forgets a vote must not go on with its mission.
-"""
+An acceptor record lies within one page of memory, and a crash leaves such a write either undone or done. So an acceptor
+record with a wrong digest means damage, and the promises of this robot may be lost. Then all records are erased,
+because a robot that has forgotten a vote must not continue its mission."""
 
 from __future__ import annotations
 
@@ -32,9 +31,9 @@ from koordgen.runtime.values.points import transmissible
 
 STORE_FORMAT = 2
 _MAGIC = b"koord-state\n"
-_HEADER = 512  # bytes; less than a page, so no death of the process leaves half of it
+_HEADER = 512  # bytes; less than a page, so a crash never leaves half of it
 _DIGEST = 16
-_PAGE = 4096  # bytes, or a part of a page
+_PAGE = 4096  # bytes, or a divisor of the page size
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -42,15 +41,15 @@ _encode = msgspec.msgpack.Encoder().encode
 
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
-_SLOTS = (2, KEPT + 1, 2)  # one more of each kind than is to be found: the one being written may be cut short
+_SLOTS = (2, KEPT + 1, 2)  # one slot more than records to recover: the slot being written may be damaged
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 
 _identity_decoder = msgspec.msgpack.Decoder(Identity)
 
 
-class Keeper(Protocol):
-    """Where a robot keeps what it must find again after its process has died."""
+class CheckpointStore(Protocol):
+    """Store of the records that survive a crash of a robot's process."""
 
     def write(self, record: Kept) -> bool: ...
 
@@ -59,17 +58,19 @@ class Keeper(Protocol):
     def clear(self) -> None: ...
 
 
-class Store:
-    """`write` never raises; once it has failed, everything is forgotten, so that no restart finds an old state."""
+class CheckpointFile:
+    """Checkpoint file of one robot.
+
+    `write` never raises. After a failure all records are erased, so that no restart finds an old state."""
 
     def __init__(self, identity: Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
         self._identity = identity
         self._path = path
-        self._file = file  # -1: nothing is kept
+        self._file = file  # -1: nothing is stored
         self._warn = warn
         self._sequence = 0
         self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
-        self._next = [0] * len(_KINDS)  # the slot of each kind to be written next
+        self._next = [0] * len(_KINDS)  # next slot to write, by kind
         mission, locals_, acceptor = [_length(room) for room in identity.rooms]
         assert acceptor <= _PAGE
         self._lengths = [mission, locals_, _PAGE]
@@ -79,9 +80,10 @@ class Store:
 
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
-             warn: Callable[[str], None]) -> Store:  # fmt: skip
-        """The file at `path`, made and allocated in full when it is not there; without a path nothing is ever kept. A
-        file of another program, robot or format is warned of and begun anew. Raises CannotOpen."""
+             warn: Callable[[str], None]) -> CheckpointFile:  # fmt: skip
+        """Open the file at `path`, created and allocated if needed. Without a path, nothing is stored.
+
+        A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""
         identity = Identity(STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys))
         if path is None:
             return cls(identity, None, -1, warn)
@@ -99,7 +101,7 @@ class Store:
         except CannotOpen:
             store.close()
             raise
-        loaded = store.load()  # so that what is written next counts as newer
+        loaded = store.load()  # so that further records count as newer
         if store._is_damaged(_NUMBERS[Acceptor]):
             if loaded.mission is not None:
                 warn(
@@ -111,12 +113,13 @@ class Store:
 
     @property
     def keeps(self) -> bool:
-        """Whether a restart would find what was written."""
+        """True if a restart would find the records written."""
         return self._file >= 0
 
     def write(self, record: Kept) -> bool:
-        """Keep a record. False when it is not kept; why, was warned of once. All others wait for the entry that waits
-        for this: it is done in few steps."""
+        """Store a record. Return False if it was not stored; the reason was reported once.
+
+        Kept short, because all robots wait for the entry that waits for this write."""
         if self._file < 0:
             return False
         kind, payload = _NUMBERS[type(record)], _encode(record)
@@ -137,7 +140,7 @@ class Store:
         return True
 
     def load(self) -> Loaded:
-        """What was kept. Never raises; what is damaged counts as never written."""
+        """Return the stored records. Never raises; damaged records are ignored."""
         newest: dict[int, tuple[int, int, Kept]] = {}  # kind -> sequence, slot, record
         rounds: dict[int, tuple[int, Locals]] = {}
         for kind, slots in enumerate(_SLOTS):
@@ -162,7 +165,7 @@ class Store:
         )
 
     def clear(self) -> None:
-        """Forget everything: a new mission begins."""
+        """Erase all records: a new mission begins."""
         if self._file >= 0:
             try:
                 self._begin_anew()
@@ -176,7 +179,7 @@ class Store:
             self._file = -1
 
     def _prepare(self, path: Path) -> None:
-        """Make sure that the file is ours alone, of our identity, and allocated in full."""
+        """Lock the file, and make sure of its identity and full allocation."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -191,7 +194,7 @@ class Store:
             os.posix_fallocate(self._file, 0, size)
         except OSError as error:
             if not any(old):
-                path.unlink(missing_ok=True)  # nothing was in it
+                path.unlink(missing_ok=True)  # it was empty
             raise _cannot(path, error, f"; it takes {-(-size // 1024)} KiB") from None
         found = _identity(old)
         ours = found is not None and msgspec.structs.replace(found, token=b"") == self._identity
@@ -203,7 +206,7 @@ class Store:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Forget all records, the missions first: without one, no other record counts."""
+        """Erase all records, the missions first: without a mission no other record is valid."""
         size = self._offset(len(_KINDS), 0)
         _put(self._file, bytes(size - _HEADER), _HEADER)
         self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
@@ -228,7 +231,7 @@ class Store:
         )
 
     def _offset(self, kind: int, slot: int) -> int:
-        """Where a slot begins; that of the kind after the last is the file's end."""
+        """Return the offset of a slot. The offset of the kind after the last is the file's length."""
         return self._begins[kind] + (slot * self._lengths[kind] if slot else 0)
 
     def _digest(self, body: bytes) -> bytes:
@@ -261,7 +264,7 @@ class Store:
 
 
 def _rooms(program: Program, n_sys: int) -> tuple[int, ...]:
-    """The most bytes of a record of each kind."""
+    """Return the largest size in bytes of a record of each kind."""
     shared = sum(4 + v.bound.bytes for v in program.shared)
     own = sum(v.bound.bytes for v in program.locals)
     ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)
@@ -316,8 +319,9 @@ def _actuators(program: Program) -> tuple[Port, ...]:
 
 
 class LocalsCodec:
-    """A program's locals and actuators as MessagePack, each an array in the program's order; an actuator that has no
-    value yet is nil."""
+    """Codec of a program's locals and actuators: MessagePack arrays in the program's order.
+
+    An actuator without a value is nil."""
 
     def __init__(self, program: Program) -> None:
         self._locals: tuple[Variable | Port, ...] = program.locals
@@ -330,7 +334,7 @@ class LocalsCodec:
         )
 
     def decode(self, locals_: bytes, actuators: bytes) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Both by name, or None when anything does not fit the program. Never raises."""
+        """Return both by name, or None if anything does not fit the program. Never raises."""
         own, ports = _values(self._locals, locals_, False), _values(self._actuators, actuators, True)
         return None if own is None or ports is None else (own, ports)
 
@@ -348,6 +352,6 @@ def _values(places: tuple[Variable | Port, ...], data: bytes, may_lack: bool) ->
             if not transmissible(value) or (place.bound is not None and place.bound.flaw(value)):
                 return None
             found[place.name] = value
-    except (ValueError, RecursionError):  # a text that is not Unicode is no DecodeError
+    except (ValueError, RecursionError):  # text that is not Unicode raises ValueError, not DecodeError
         return None
     return found

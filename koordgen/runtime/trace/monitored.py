@@ -1,4 +1,4 @@
-"""What a robot's monitors look at and what they tell: a moment, one property and what is known of it, a change."""
+"""Data of a robot's monitors: an observation, a monitored property, and a change of its verdict."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from koordgen.runtime.values.points import transmissible
 Of = Literal["invariant", "assume", "requires", "ensures", "loop invariant"]
 FOR_GOOD = ("land", "stop")
 
-# How much of a moment is certain: what is sensed; the robot's own variables, too; the shared store, too.
+# Certainty of an observation: sensors only; also the robot's own variables; also the shared store.
 SENSED, OWN, SHARED = range(3)
 
 
-class Moment(msgspec.Struct, frozen=True):
-    """What a robot knows at the start of a round, before its event; `certain` says what of it. `sensed`: when the
-    position was true (local time, None: never)."""
+class Observation(msgspec.Struct, frozen=True):
+    """A robot's knowledge at the start of a round, before its event.
+
+    `certain`: which parts are committed. `sensed`: local time at which the position was true; None: never."""
 
     round: int
     time: float
@@ -33,7 +34,7 @@ class Moment(msgspec.Struct, frozen=True):
     actuators: Mapping[str, Any]
 
     def value(self, name: str, place: int) -> Any:
-        """What a property reads, of an allread variable all slots."""
+        """Return a value that a property reads; of an allread variable all slots."""
         if place == SENSED:
             return self.sensors.get(name, UNKNOWN)
         if place == SHARED:
@@ -41,14 +42,15 @@ class Moment(msgspec.Struct, frozen=True):
         return self.locals[name] if name in self.locals else self.actuators.get(name, UNKNOWN)
 
     def age(self, delta: float) -> int:
-        """Whole rounds for which its sensors have not been new."""
+        """Return the number of whole rounds since the sensors were new."""
         return 0 if self.sensed is None else max(0, int((self.time - self.sensed) / delta))
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A property's outcome, when it becomes another than `before` (None: nothing yet). `age`: rounds since the oldest
-    value that it rests on was true; 0, this round's own reading. `line` is such as "app.koord:12"."""
+    """Change of a property's verdict from `before` (None: the first one).
+
+    `age`: rounds since the oldest value read was true; 0 for values of this round. `line` is such as "app.koord:12"."""
 
     time: float
     round: int
@@ -63,15 +65,17 @@ class Change:
 
     @property
     def word(self) -> str:
-        """The property, and where it stands."""
+        """Return kind, name and line of the property."""
         return _word(self.of, self.name, self.line)
 
 
 @dataclass(slots=True)
-class Watched:
-    """One property: `outcome` since round `since`, which was true at the start of round `true`. It `reads` these names,
-    `needs` so much to be certain, and is `due` when something that it reads has become another. It is `acting` as long
-    as it makes the robot do something."""
+class MonitoredProperty:
+    """A property that a robot monitors.
+
+    It has `outcome` since round `since`; the outcome was last confirmed at the start of round `true`. It `reads` these
+    names, `needs` this certainty, and is `due` when a value that it reads has changed. It is `acting` while it makes
+    the robot react."""
 
     of: Of
     name: str
@@ -80,7 +84,7 @@ class Watched:
     what: Property | Assumption | None = None
     reads: frozenset[str] = frozenset()
     needs: int = SENSED
-    senses: bool = False  # reads what grows old between two samples
+    senses: bool = False  # reads sensors, whose values age between samples
     due: bool = True
     outcome: Outcome | None = None
     why: str = ""
@@ -92,7 +96,7 @@ class Watched:
 
     @property
     def word(self) -> str:
-        """The property, and where it stands."""
+        """Return kind, name and line of the property."""
         return _word(self.of, self.name, self.line)
 
     @property
@@ -106,8 +110,10 @@ class Watched:
                 raise LookupError(f"nothing evaluates {self.of} {self.name}")
 
     def become(self, outcome: Outcome, why: str, round_: int, time: float, stale: bool = False) -> Change | None:
-        """Another outcome in a round; None when it is none. `stale`: not because it was evaluated. What made the robot
-        hold does so until it is evaluated and not violated."""
+        """Set the verdict in a round. Return the change, or None if there is none.
+
+        `stale`: it was not evaluated. A property that makes the robot hold does so until it is evaluated and not
+        violated."""
         before = self.outcome
         if outcome == before:
             return None
@@ -121,14 +127,14 @@ class Watched:
         return Change(time, round_, self.of, self.name, self.line, outcome, age, why, self.action, before)
 
     def report(self, round_: int) -> dict[str, Any]:
-        """For the status, in plain values."""
+        """Return plain values for the status."""
         named = {"of": self.of, "name": self.name, "line": self.line, "outcome": self.outcome or "unknown"}
         age = max(0, round_ - self.true) if self.outcome else None
         return {**named, "since": self.since, "age": age, "why": self.why, "action": self.action}
 
 
 def usable(value: Any) -> Any:
-    """A sensor's value; UNKNOWN of one that no program may see."""
+    """Return a sensor's value; UNKNOWN for one that no program may read."""
     return value if transmissible(value) else UNKNOWN
 
 

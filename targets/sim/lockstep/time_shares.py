@@ -1,13 +1,12 @@
-"""What the processor's time of a run went to."""
+"""Shares of a run's processor time."""
 
 from __future__ import annotations
 
 from time import perf_counter
 
 
-class Shares:
-    """Seconds by part: what was spent inside of `stage` on devices, and inside of `agents` on network and trace, counts
-    there as well."""
+class TimeShares:
+    """Seconds by part. Devices are also counted within `stage`; network and trace also within `agents`."""
 
     def __init__(self) -> None:
         self._spent: dict[str, float] = {}
@@ -19,7 +18,7 @@ class Shares:
         self._spent[part] = self._spent.get(part, 0.0) + perf_counter() - began
 
     def told(self, devices: float) -> dict[str, float]:
-        """Each part's share of the whole; `devices` are the seconds that the stage spent on them."""
+        """Return each part's share of the whole; `devices` are the seconds that the scene spent on devices."""
         spent = self._spent.get
         stage, agents = spent("stage", 0.0), spent("agents", 0.0)
         network, trace = spent("network", 0.0), spent("trace", 0.0)

@@ -1,4 +1,6 @@
-"""The stage: a scenario's bodies and devices in one world, stepped together and watched for what must not happen."""
+"""Simulation scene.
+
+Bodies and devices of a scenario in one world, stepped together and checked for contacts."""
 
 from __future__ import annotations
 
@@ -16,62 +18,65 @@ from numpy.typing import NDArray
 
 from koordgen.runtime.vehicle.datagrams import raw_clock
 from targets.sim.autopilots.external import ExternalAutopilot
-from targets.sim.autopilots.simple import DirectCar, DirectQuad
+from targets.sim.autopilots.simple import SimpleCarDevice, SimpleQuadDevice
 from targets.sim.base.bodies import BodyState, Device, DeviceContext, Vector
+from targets.sim.base.degraded_actuators import DegradedActuators
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Loopback, Wiring
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.base.slowed import Slowed
-from targets.sim.base.upset import Upset
-from targets.sim.physics.car import Running, SimulatedCar
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.car import CarDynamics, SimulatedCar
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import Rigid, World
+from targets.sim.physics.world import Rigid, SimulatedWorld
 from targets.sim.sensing.lidar import SETTING, SimulatedLidar
 from targets.sim.sensing.station import SimulatedFeed, fed
 
 
-class Body(Protocol):
-    """What the stage needs of every body; devices know more."""
+class SceneBody(Protocol):
+    """Methods of a body that the scene uses; devices use more of them."""
 
     rigid: Rigid
 
     def state(self) -> BodyState: ...
 
 
-def _quadrotor(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
+def _quadrotor(world: SimulatedWorld, robot: Robot, harness: Mapping[str, Any]) -> SceneBody:
     make = SimpleQuadrotor if robot.sim.fidelity == "simple" else SimulatedQuadrotor
     return make(world, robot.start.position, robot.start.yaw)
 
 
-def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
+def _car(world: SimulatedWorld, robot: Robot, harness: Mapping[str, Any]) -> SceneBody:
     wheelbase = float(robot.settings.get("wheelbase", 0.33))
     max_steering = float(robot.settings.get("max_steering", 0.4))
-    make = SimpleCar if robot.sim.fidelity == "simple" else SimulatedCar
-    return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
+    make = SimpleCarBody if robot.sim.fidelity == "simple" else SimulatedCar
+    return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, CarDynamics.of(harness))
 
 
-# What a target's [simulation] table may name. Devices are imported when a robot needs them.
-BODIES: dict[str, Callable[[World, Robot, Mapping[str, Any]], Body]] = {"quadrotor": _quadrotor, "car": _car}
+# Names that a target's [simulation] table may use. Devices are imported only when a robot needs them.
+BODIES: dict[str, Callable[[SimulatedWorld, Robot, Mapping[str, Any]], SceneBody]] = {
+    "quadrotor": _quadrotor,
+    "car": _car,
+}
 DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilots.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.autopilots.drive:simulated",
 }
 
-# ... and those of robots of fidelity `simple`, by their body.
-SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": DirectQuad, "car": DirectCar}
+# Devices of robots of fidelity `simple`, by their body.
+SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": SimpleQuadDevice, "car": SimpleCarDevice}
 
 Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Actor:
-    """One robot's simulated half."""
+    """Simulated part of one robot: body, device and sensors."""
 
     robot: Robot
-    body: Body
+    body: SceneBody
     device: Device
-    sensors: tuple[Device, ...]  # lidar and position feed, for robots that have a setting for them
-    upset: Upset
+    sensors: tuple[Device, ...]  # lidar and position feed, if the robot has settings for them
+    fault_state: FaultState
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -79,13 +84,13 @@ class Actor:
 
     @property
     def overrides(self) -> dict[str, Any]:
-        """What is laid over the robot's settings, so that its agent finds the devices."""
+        """Settings that override the robot's own, so that its agent finds the devices."""
         return {key: value for device in self.devices for key, value in device.overrides.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Closest:
-    """The separation of two robots at a time: metres, seconds, pids."""
+    """Distance of two robots at a time: metres, seconds, pids."""
 
     distance: float = math.inf
     time: float = 0.0
@@ -93,15 +98,19 @@ class Closest:
 
 
 @dataclass(slots=True)
-class Watch:
-    """What was seen of all pairs of robots, at every step. Separation is the distance in space of the robots' reference
-    points: those that they call their positions. Times are those that `Stage.step` was told."""
+class SeparationMonitor:
+    """Separation and contacts of all robots, checked at every step.
+
+    Separation is the distance in space between the robots' reference points, which are their positions. Times are those
+    passed to `SimulationScene.step`."""
 
     min_separation: float
     closest: Closest = Closest()
-    too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # each pair's first time
-    collisions: dict[tuple[int, int], float] = field(default_factory=dict)  # pair of pids -> the first time, s
-    bumps: dict[tuple[int, int], float] = field(default_factory=dict)  # pid, number of obstacle -> the first time, s
+    too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # first time of each pair
+    # pair of pids -> time of its first contact, s
+    collisions: dict[tuple[int, int], float] = field(default_factory=dict)
+    # pid, number of obstacle -> time of the first contact, s
+    bumps: dict[tuple[int, int], float] = field(default_factory=dict)
 
     def look(self, time: float, positions: list[Vector]) -> None:
         if len(positions) < 2:
@@ -121,13 +130,14 @@ class Watch:
 
 @lru_cache(maxsize=8)
 def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All pairs of so many robots, the lower number first."""
+    """Return all pairs of `count` robots, the lower number first."""
     return np.triu_indices(count, 1)
 
 
-class Stage:
-    """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
-    same motion. `check` the scenario before."""
+class SimulationScene:
+    """Owner of world, bodies and devices; `close` frees them.
+
+    The same scenario, seed and commands give the same motion. Call `check` for the scenario before."""
 
     def __init__(
         self,
@@ -137,13 +147,15 @@ class Stage:
         wiring: Wiring | None = None,
         clock: Clock = raw_clock,
     ) -> None:
-        """`wiring` is how agents are reached, `clock` the one by which they stamp what arrives. Raises BadScenario,
-        contacts.NoEngine, and contacts.NoWindow when a window is asked for where there is none."""
+        """Create world, bodies and devices.
+
+        `wiring` connects devices to agents. `clock` is the agents' clock, which stamps measurements. Raises
+        BadScenario, contacts.NoEngine, and contacts.NoWindow if a window is requested but not available."""
         world = scenario.world
-        self.world = World(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
+        self.world = SimulatedWorld(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
         self.actors: list[Actor] = []
-        self.watch = Watch(scenario.number("min_separation", 0.0))
-        self.spent = 0.0  # host seconds on devices
+        self.watch = SeparationMonitor(scenario.number("min_separation", 0.0))
+        self.spent = 0.0  # host seconds spent on devices
         try:
             for obstacle in scenario.obstacles:
                 self.world.obstacle(obstacle)
@@ -155,7 +167,9 @@ class Stage:
         self._devices = [device for actor in self.actors for device in actor.devices]
 
     def step(self, at: float) -> list[BodyState]:
-        """One physics step; the states before it. `at` stamps what the watch sees."""
+        """Simulate one physics step. Return the states before it.
+
+        `at` is the time stamp for the separation monitor."""
         now = self.world.time
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
@@ -164,7 +178,7 @@ class Stage:
             device.step(now)
         self.spent += time.perf_counter() - began
         self.world.step()
-        touched = self.world.touched()  # bodies came in the order of their pids
+        touched = self.world.touched()  # bodies were added in the order of pids
         for pair in sorted(touched.bodies):
             self.watch.collisions.setdefault(pair, at)
         for bump in sorted(touched.obstacles):
@@ -172,7 +186,7 @@ class Stage:
         return states
 
     def standing(self, pid: int) -> bool:
-        """Whether a robot is on the floor and does not move."""
+        """Return whether a robot stands still on the floor."""
         body = self.actors[pid].body
         return self.world.grounded(body.rigid) and math.hypot(*body.state().velocity) < 0.1
 
@@ -184,7 +198,9 @@ class Stage:
 
 
 def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
-    """The class behind a device's name. Raises BadScenario, or ImportError when a package is missing."""
+    """Return the class of a device by its name.
+
+    Raises BadScenario, or ImportError if a package is missing."""
     if name not in DEVICES:
         raise BadScenario(f"no simulated device {name!r}", f"there are: {', '.join(sorted(DEVICES))}")
     module, _, member = DEVICES[name].partition(":")
@@ -193,8 +209,9 @@ def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
 
 
 def check(scenario: Scenario) -> None:
-    """Whether there is a body and a device for every robot, and no body is in contact where it starts. Raises as
-    `device_class`."""
+    """Check that each robot has a body and a device, and that no body is in contact at its start.
+
+    Raises the exceptions of `device_class`, and BadScenario."""
     for robot in scenario.robots:
         if robot.body not in BODIES:
             raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
@@ -202,14 +219,14 @@ def check(scenario: Scenario) -> None:
         if robot.external and (robot.body, robot.sim.fidelity) != ("quadrotor", "full"):
             raise BadScenario(
                 f"{robot.name}: an external autopilot flies quads of fidelity full only",
-                "say `fidelity: full`, or `autopilot: simulated`, in its `sim:`",
+                "set `fidelity: full` or `autopilot: simulated` in its `sim:`",
             )
     _check_contacts(scenario)
 
 
 def _check_contacts(scenario: Scenario) -> None:
-    """In a world of its own, for one step: what touches then did so at the start."""
-    world = World(engine=scenario.engine)
+    """Check contacts at the start, by one step in a world of its own."""
+    world = SimulatedWorld(engine=scenario.engine)
     try:
         for obstacle in scenario.obstacles:
             world.obstacle(obstacle)
@@ -228,7 +245,7 @@ def _check_contacts(scenario: Scenario) -> None:
 
 
 def _actor(
-    world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
+    world: SimulatedWorld, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
 ) -> Actor:
     make = device_class(robot.device)
     origin = scenario.origin
@@ -236,15 +253,15 @@ def _actor(
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    upset = Upset()
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset,
+    fault_state = FaultState()
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, fault_state,
                             scenario.application_id)  # fmt: skip
-    slowed = Slowed(body, upset, lambda: world.time)
+    slowed = DegradedActuators(body, fault_state, lambda: world.time)
     if robot.sim.fidelity == "simple":
         make = SIMPLE[robot.body]
     device = ExternalAutopilot(slowed, context, robot.pid) if robot.external else make(slowed, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     setting = fed(robot.settings)
-    if setting and robot.sim.fidelity != "simple":  # such a robot knows where it is
+    if setting and robot.sim.fidelity != "simple":  # a simple robot needs no position feed
         sensors.append(SimulatedFeed(body, context, setting, clock))
-    return Actor(robot, body, device, tuple(sensors), upset)
+    return Actor(robot, body, device, tuple(sensors), fault_state)

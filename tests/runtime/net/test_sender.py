@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import KEY
-from koordgen.runtime.net import codec, speech, wire
+from koordgen.runtime.net import codec, sender, wire
 from koordgen.runtime.net.codec import encoder
-from koordgen.runtime.net.speech import (
+from koordgen.runtime.net.sender import (
     ECHOES_A_LESSON,
     MOST_DATAGRAMS,
     MOST_FRAGMENTS_AT_ONCE,
@@ -142,7 +142,7 @@ def test_echoes_go_to_those_who_are_due_as_long_as_there_is_room(n: int) -> None
     for turn in range(80):
         to = mouth.others if turn % 3 else mouth.others[: 1 + turn % 5]
         mouth.fleet_clock.reference = OWN if turn > 40 else 0
-        every = (speech.REFERENCE_EVERY if turn > 40 else OTHERS_EVERY) / ECHOES_A_LESSON
+        every = (sender.REFERENCE_EVERY if turn > 40 else OTHERS_EVERY) / ECHOES_A_LESSON
         mouth.clock.time += (0.001, 0.01, 0.2)[turn % 3]
         if turn == 20:
             mouth.meet(mouth.others)
@@ -161,7 +161,7 @@ def test_echoes_go_to_those_who_are_due_as_long_as_there_is_room(n: int) -> None
 
 def test_in_a_large_fleet_all_have_their_turn_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [others_every(n) for n in (2, OTHERS, 2 * OTHERS)] == [OTHERS_EVERY, OTHERS_EVERY, 2 * OTHERS_EVERY]
-    monkeypatch.setattr(speech, "OTHERS", 4)
+    monkeypatch.setattr(sender, "OTHERS", 4)
     mouth, last, gaps = Mouth(n=16), dict[int, float](), list[float]()
     mouth.meet(mouth.others)
     while mouth.clock.time < 30.0:

@@ -1,4 +1,4 @@
-"""The robot's body as its program sees it: sampled sensors, actuator variables, calls, and all that makes it hold."""
+"""Vehicle interface of an agent: sampled sensors, actuator variables, calls, and reasons to hold."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from koordgen.runtime.vehicle.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.vehicle.safety import clamped
 
 
-class Body:
-    """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
-    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told.
-    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's;
-    `clock` times calls."""
+class VehicleInterface:
+    """Interface between program and platform.
+
+    `actuators`: values last written, before the geofence; the platform gets values clamped to it. A call may take
+    `budget` seconds; longer calls are counted and reported. `avoid`: the allread variable in which robots publish their
+    paths, or "". `pid`: this robot's. `clock`: measures calls."""
 
     def __init__(
         self,
@@ -35,8 +36,8 @@ class Body:
     ) -> None:
         self._platform = platform
         self._avoid, self._pid, self._clock = avoid, pid, clock
-        self._slots: tuple[Any, ...] = ()  # of `avoid`, as `others` saw them last
-        self._published: dict[int, tuple[Point, ...]] = {}  # what it has handed on
+        self._slots: tuple[Any, ...] = ()  # slots of `avoid` at the last call of `others`
+        self._published: dict[int, tuple[Point, ...]] = {}  # paths passed on
         self._fence = fence
         self._budget = budget
         self._warn = warn
@@ -45,7 +46,7 @@ class Body:
         self._clearable = {sensor for cleared in self._clears.values() for sensor in cleared}
         self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
         self._callables = {p.name: p.type for p in program.ports if p.direction == "callable"}
-        self._cleared: dict[str, float] = {}  # sensor -> when a command cleared it last
+        self._cleared: dict[str, float] = {}  # sensor -> time when a command last cleared it
         self._fenced: tuple[str, ...] = ()
         self._reasons: set[str] = set()
         self._retired = False
@@ -54,8 +55,9 @@ class Body:
         self.slow_calls = 0
 
     def begin(self, sensed: Sensed) -> None:
-        """Before `init`: an actuator that was never written holds, some of them at what a sensor says. Raises Unready
-        when the target lacks a port."""
+        """Initialise actuators before `init`: an unwritten one holds, some at the value of a sensor.
+
+        Raises Unready if the target lacks a port."""
         for name in self._sensors:
             if name not in sensed.values:
                 raise Unready(f"this target has no port {name}", "build the program for a target that offers it")
@@ -66,8 +68,10 @@ class Body:
                 self.actuators[port.name] = port.unset()
 
     def sensors(self, sensed: Sensed) -> dict[str, Any]:
-        """The program's sensor ports. One that commands clear is true before any command, and after one false until the
-        platform judged by a position that is younger than the command."""
+        """Return the program's sensor values.
+
+        A sensor that commands clear is true before any command. After one it is false until the platform has measured a
+        position later than the command."""
         values = {name: sensed.values[name] for name in self._sensors}
         for name in self._clearable:
             since = self._cleared.get(name)
@@ -78,8 +82,9 @@ class Body:
         return values
 
     def others(self, shared: Mapping[str, Any]) -> None:
-        """Before an event: hand the other robots' published paths, as they stand in the shared store, to the platform,
-        if they have changed."""
+        """Pass the other robots' published paths from the shared store to the platform, if they have changed.
+
+        Called before an event."""
         slots = shared.get(self._avoid, ())
         if slots is self._slots:
             return
@@ -93,7 +98,9 @@ class Body:
             self._platform.others(published)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""
+        """Call a callable port within an event.
+
+        Raises what the platform raises; ValueError for an invalid answer."""
         began = self._clock()
         found = self._platform.call(port, args)
         took = self._clock() - began
@@ -103,19 +110,19 @@ class Body:
                 self._warn(f"{port} took {took * 1e3:.0f} ms, beyond its budget of {self._budget * 1e3:.0f} ms")
         answer = msgspec.convert(found, self._callables[port])
         if not transmissible(answer):
-            raise ValueError(f"{port} answered with what is no number")
+            raise ValueError(f"{port} returned a value that is not finite")
         self._calls.append((port, args, answer))
         return answer
 
     def calls(self) -> tuple[tuple[str, tuple[Any, ...], Any], ...]:
-        """The calls since this was asked last: port, arguments, answer."""
+        """Return the calls since the last call of this method: port, arguments, answer."""
         if not self._calls:
             return ()
         found, self._calls = tuple(self._calls), []
         return found
 
     def command(self, written: Mapping[str, Any], now: float) -> None:
-        """Take what an event wrote to actuators; Points go to the platform moved into the geofence."""
+        """Pass an event's writes to the platform; Points are clamped to the geofence."""
         self._hand_on(written, now, self._platform.command)
 
     def _hand_on(self, written: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]) -> None:
@@ -132,14 +139,14 @@ class Body:
         to(inside, now)
 
     def restore(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Go on with what an earlier life of this robot had commanded, where that differs."""
+        """Restore the actuators of an earlier life of this robot, as far as they differ."""
         nothing = object()
         differing = {n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}
         platform = self._platform
         self._hand_on(differing, now, platform.resume if isinstance(platform, Resumes) else platform.command)
 
     def hold(self, reason: str, on: bool, now: float) -> bool:
-        """Hold for a reason, or no longer for that one; the robot moves when no reason is left. True on a change."""
+        """Add or remove a reason to hold; the robot moves when no reason is left. Return True on a change."""
         if on == (reason in self._reasons) or self._retired:
             return False
         (self._reasons.add if on else self._reasons.discard)(reason)
@@ -147,12 +154,12 @@ class Body:
         return True
 
     def retire(self) -> None:
-        """The safe end has begun: nothing of the program reaches the platform any more."""
+        """Block all further commands of the program: the safe stop has begun."""
         self._retired = True
 
 
 def unusable(sensors: Mapping[str, Any]) -> str | None:
-    """The first sensor whose value no program may see, in words, or None."""
+    """Return the first sensor whose value no program may read, as text, or None."""
     for name, value in sensors.items():
         if not transmissible(value):
             why = "has no value" if value is None else "is not finite"

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from koordgen.cli import main
 from koordgen.runtime.trace.schema import Monitor, Verdict, Violation
 from targets.sim.judging.summary import told as in_words
-from targets.sim.trace.noticed import MOST, OF_ONE, Monitored, Notable, Noticed, as_text, said
+from targets.sim.trace.monitor_reports import MOST, OF_ONE, DisplayFilter, Monitored, MonitorSummary, as_text, said
 from tests.sim.lockstep.lockstep import digest, ran, summary
 
 NAMES = {0: "alice", 1: "bert", 2: "cleo"}
@@ -23,7 +23,7 @@ def told(pid: int, t: float, outcome: str, age: int = 0, name: str = "Near") -> 
     return Monitor("invariant", name, "a.koord:7", outcome, age, "why", "log", 1, 0.0, t, pid)
 
 
-def beside(records: list[Monitor], outcome: Any = "violated") -> list[Noticed]:
+def beside(records: list[Monitor], outcome: Any = "violated") -> list[MonitorSummary]:
     found = Monitored(NAMES, 0.1)
     for record in records:
         found.take(record)
@@ -53,7 +53,7 @@ def test_what_the_truth_does_not_show_was_measured() -> None:
 
 
 def test_pages_show_violations_and_their_ends_but_not_without_end() -> None:
-    notable = Notable()
+    notable = DisplayFilter()
     outcomes = ["held", "violated", "unknown", "held", "violated", "held"]
     assert [notable.take(told(0, 0.0, outcome)) for outcome in outcomes] == [False, True, True, False, True, True]
     assert sum(notable.take(told(0, 0.0, "violated")) for _ in range(9)) == OF_ONE - 4, "the others have room"

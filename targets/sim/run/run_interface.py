@@ -1,9 +1,8 @@
-"""The seam between a run and its clock: what a run needs of its agents, and of what moves time.
+"""Interface between a run and its clock: agent handles, and the clock that drives agents and world.
 
-There are two: real time (realtime.py), where each agent is a process and the world keeps up with the host's clock, and
-lockstep (lockstep/), where all agents live in this process on a clock that the run owns. `Run` (run.py) knows no more
-than what stands here; so do those who go along with a run (`Companion`): faults, watching, the live view.
-"""
+There are two clocks. In real time (realtime.py) each agent is a process, and the world follows the host's clock. In
+lockstep (lockstep/) all agents live in this process on a simulated clock. `Run` (run.py) and its companions (faults,
+watcher, live view) use only this interface."""
 
 from __future__ import annotations
 
@@ -18,100 +17,105 @@ from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
 
 if TYPE_CHECKING:
-    from targets.sim.run.stage import Stage
+    from targets.sim.run.scene import SimulationScene
 
 
-class Agent(ABC):
-    """One robot's agent, and what is known of it by what it traced; its files are in `folder`. Times are those of the
-    run's clock (`Conduct.now`)."""
+class AgentHandle(ABC):
+    """Handle of one robot's agent, with its state as far as its trace shows it.
+
+    Its files are in `folder`. Times are those of the run's clock (`AgentsAndClock.now`)."""
 
     def __init__(self, robot: Robot, folder: Path, delta: float) -> None:
         self.robot = robot
         self.trace_file = folder / "trace.jsonl"
         self.log_file = folder / "log.txt"
         self._delta = delta
-        self.told = False  # to come to rest
-        self.killed = False  # by the run, for it did not come to rest
-        self.crashed = False  # on purpose, by `crash`, and not restarted yet
+        self.told = False  # told to stop safely and end
+        self.killed = False  # killed by the run, because it did not stop in time
+        self.crashed = False  # crashed by `crash` and not restarted yet
         self.phase = Phase("launched")
-        self.resting: Phase | None = None  # when it came to rest unasked
+        self.resting: Phase | None = None  # the beginning of a safe stop that was not commanded
         self.round = 0
         self.events = 0
         self.first_fault: Round | None = None
-        self.first_round_start: float | None = None  # of round 1
+        self.first_round_start: float | None = None  # start of round 1
         self.last_error = ""
-        # In lockstep each gets every round's record as soon as it is certain; in real time there is only `look`.
+        # Callbacks. In lockstep each is called with every round's record once it is committed; in real time use `look`.
         self.monitors: list[Observe] = []
 
     @property
     @abstractmethod
     def alive(self) -> bool:
-        """Whether it runs (a frozen one does)."""
+        """True if the agent runs, even if frozen."""
 
     @property
     @abstractmethod
     def status(self) -> int | None:
-        """The exit status, negative for a signal that ended it; None while it runs or was never launched."""
+        """The exit status, negative for a signal; None while it runs or before its launch."""
 
     @property
     def process_id(self) -> int | None:
-        """Of a process of its own, while it runs; else None."""
+        """Process id while it runs as a process of its own; otherwise None."""
         return None
 
     @abstractmethod
-    def tell_end(self) -> None:
-        """Tell it to come to rest and end."""
+    def request_end(self) -> None:
+        """Tell the agent to stop safely and end."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End it and what it started, at once. Idempotent."""
+        """End the agent and all that it started, at once. Idempotent."""
 
     @abstractmethod
     def crash(self) -> None:
-        """A fault: it is gone from one moment to the next, its links with it, and leaves what it kept on its disk. It
-        counts as `crashed`, and not as failed. Nothing happens to one that does not run."""
+        """Inject a crash: the agent and its links vanish at once; its persistent state remains.
+
+        It then counts as `crashed`, not as failed. No effect if the agent does not run."""
 
     @abstractmethod
     def restart(self) -> None:
-        """After a crash: its process begins anew, with what it kept, and appends to its trace. A fault, too: one that
-        runs is crashed first."""
+        """Restart the agent with its persistent state; it appends to its trace.
+
+        A running agent is crashed first."""
 
     @abstractmethod
     def freeze(self, seconds: float) -> None:
-        """A fault: it does not run for so long, while the world goes on and what is sent to it waits or is lost. An
-        infinite freeze lasts until `thaw`, at most until it is told to end."""
+        """Inject a freeze for `seconds`: the agent does not run, and datagrams to it wait or are lost.
+
+        An infinite freeze lasts until `thaw`, at most until `request_end`."""
 
     @property
     @abstractmethod
     def frozen(self) -> bool:
-        """True if a freeze goes on."""
+        """True while the agent is frozen."""
 
     @abstractmethod
     def thaw(self) -> None:
-        """End its freeze, if there is one."""
+        """End the agent's freeze, if there is one."""
 
     @abstractmethod
     def _failed(self, status: int) -> str | None:
-        """What a status other than a good one says, in words; None: it was a good one."""
+        """Return a text for an abnormal exit status, None for a normal one."""
 
     @abstractmethod
     def look(self) -> list[TraceRecord]:
-        """Take what it traced since the last look."""
+        """Return the records traced since the last call."""
 
     def note(self, line: str) -> None:
-        """Write a line of the simulator's into the robot's log. Raises OSError."""
+        """Write a line of the simulator into the robot's log. Raises OSError."""
         with self.log_file.open("ab") as log:
             log.write(f"{line}\n".encode())
 
     def failure(self) -> str | None:
-        """Why its end was not a good one, or None: it runs on, ended well, was told to before it traced anything, or
-        was crashed on purpose."""
+        """Return why the agent failed, or None.
+
+        None if it runs, ended normally, was told to end before its first record, or was crashed on purpose."""
         status = self.status
         if status is None or self.crashed:
             return None
         self.look()
         if self.killed:
-            return "did not come to rest in time and was killed"
+            return "did not stop in time and was killed"
         if status == 0 and not self.told and self.round == 0:
             return "ended by itself before round 1"
         return self._failed(status)
@@ -136,13 +140,13 @@ class Agent(ABC):
                 pass
 
     def waiting_for(self) -> str:
-        """Where it stands, in words."""
+        """Return the agent's phase as text."""
         if self.phase.phase == "launched" and not self.alive:
             return self.failure() or "not launched"
         return f"{self.phase.phase}: {self.phase.detail}" if self.phase.detail else self.phase.phase
 
     def last_lines(self, count: int) -> list[str]:
-        """The end of its log."""
+        """Return the last lines of its log."""
         try:
             with self.log_file.open("rb") as file:
                 file.seek(max(0, self.log_file.stat().st_size - 8192))
@@ -155,46 +159,47 @@ class Agent(ABC):
         return str(self.first_fault.fault) if self.first_fault else ""
 
 
-Step = Callable[[float], None]  # one step of the world at a time of the run's clock
+WorldStep = Callable[[float], None]  # one step of the world, at a time of the run's clock
 
 
-class Conduct(Protocol):
-    """A run's agents and its clock."""
+class AgentsAndClock(Protocol):
+    """Agents and clock of a run."""
 
     @property
-    def agents(self) -> Sequence[Agent]:
-        """By pid."""
+    def agents(self) -> Sequence[AgentHandle]:
+        """Agent handles by pid."""
         ...
 
     @property
     def steps(self) -> int:
-        """How many the world has made."""
+        """Number of the world's steps so far."""
         ...
 
     @property
     def late(self) -> int:
-        """How many of them were made more than a step too late."""
+        """Number of steps that began more than one step too late."""
         ...
 
-    def stage(self) -> Stage:
-        """Make the world, its bodies and the devices that these agents will find."""
+    def scene(self) -> SimulationScene:
+        """Create the world, its bodies and the devices for these agents."""
         ...
 
-    def launch(self, stage: Stage) -> None:
+    def launch(self, scene: SimulationScene) -> None:
         """Start all agents, and the clock. Raises OSError."""
         ...
 
     def disturb(self, medium: Medium) -> None:
-        """From now on the network between the agents is like that. Whoever wants to do so later does it before the
-        launch, too. Raises OSError."""
+        """Change the network between the agents.
+
+        To change it during the run, call this before the launch, too. Raises OSError."""
         ...
 
     def now(self) -> float:
-        """Seconds on the clock by which agents live."""
+        """Return the time of the agents' clock in seconds."""
         ...
 
-    def go_on(self, step: Step) -> None:
-        """Some milliseconds of the run: the steps of the world that are due, and what agents do meanwhile."""
+    def go_on(self, step: WorldStep) -> None:
+        """Advance the run by some milliseconds: due steps of the world, and the agents' work meanwhile."""
         ...
 
     @property
@@ -204,9 +209,9 @@ class Conduct(Protocol):
 
     @property
     def shares(self) -> dict[str, float]:
-        """What the processor's time went to, by part, as shares of all; empty where that is not known."""
+        """Shares of the processor's time, by part; empty if unknown."""
         ...
 
     def close(self) -> None:
-        """End all agents and what belongs to them. Idempotent."""
+        """End all agents and their companions. Idempotent."""
         ...

@@ -1,4 +1,4 @@
-"""What is wrong with a robot's devices at the moment. Faults change it (faults.py), devices look at it."""
+"""Fault state of a robot's devices: written by faults.py, read by devices."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ T = TypeVar("T")
 Vector = tuple[float, float, float]
 
 
-class Positioning(msgspec.Struct, frozen=True):
-    """What is wrong with a robot's positions: noise on top (m, standard deviation), bias (m, ENU), delay (s, on top),
-    and which part of them never comes."""
+class PositioningFault(msgspec.Struct, frozen=True):
+    """Errors of a robot's positions, added to its usual noise and delay.
+
+    noise: m, standard deviation. bias: m, ENU. delay: s. dropout: share of positions that are lost, 0 to 1."""
 
     noise: float = 0.0
     bias: Vector = (0.0, 0.0, 0.0)
@@ -24,22 +25,25 @@ class Positioning(msgspec.Struct, frozen=True):
     dropout: float = 0.0
 
 
-WELL = Positioning()
+NO_POSITIONING_FAULT = PositioningFault()
 
 
 @dataclass(slots=True)
-class Upset:
-    """Its positions (what comes on top of their usual noise and delay), how full its battery is at most (a part of 1),
-    by how much its motors and servos are slower (a time constant, s)."""
+class FaultState:
+    """Present faults of a robot's devices.
 
-    positioning: Positioning = WELL
+    `positioning`: errors of its positions. `battery`: largest state of charge, 0 to 1. `lag`: time constant of its
+    motors and servos (s)."""
+
+    positioning: PositioningFault = NO_POSITIONING_FAULT
     battery: float = 1.0
     lag: float = 0.0
     _past: deque[tuple[float, Any]] = field(default_factory=deque)
 
     def late(self, now: float, state: T) -> T:
-        """What is known at `now` (s) of what is `state` in truth: how it was a delay of the positions ago. To be asked
-        again and again, of one thing."""
+        """Return the state as it is known at `now` (s): delayed by the positioning's delay.
+
+        Call it repeatedly with the state of one body only: past states are kept here."""
         delay, past = self.positioning.delay, self._past
         if not delay:
             past.clear()
@@ -51,7 +55,7 @@ class Upset:
         return known
 
     def measured(self, position: Vector, noise: float, dice: Random) -> Vector | None:
-        """A position as it is measured with so much usual noise (m, standard deviation); None: it never comes."""
+        """Return a measured position with noise (m, standard deviation), bias and faults; None if it is lost."""
         wrong = self.positioning
         if wrong.dropout and dice.random() < wrong.dropout:
             return None

@@ -1,5 +1,7 @@
-"""One robot's agent in this process: its bundle's program, drivers and functions, its target's platform, and the very
-machine that runs on robots, polled on the run's clock."""
+"""Agent of a robot within the lockstep process.
+
+It has its bundle's program, drivers and functions, its target's platform, and the same state machine as agents on
+robots, polled on the run's clock."""
 
 from __future__ import annotations
 
@@ -30,19 +32,21 @@ from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
-from targets.sim.base.bodies import Embodied
+from targets.sim.base.bodies import DirectlyDriven
 from targets.sim.base.scenario import Robot, Scenario
-from targets.sim.lockstep.own import Own
-from targets.sim.lockstep.shares import Shares
-from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
-from targets.sim.run.crew import Agent
-from targets.sim.run.stage import Actor
+from targets.sim.lockstep.bundle_modules import BundleModules
+from targets.sim.lockstep.time_shares import TimeShares
+from targets.sim.lockstep.wires import EPOCH, LockstepServices, MemoryWiring
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.scene import Actor
 
-# What a robot in lockstep finds again after a crash: as much as the file of a real one holds (runtime/agent/store.py).
+# State that survives a crash in lockstep, as the file of a real robot does (runtime/agent/checkpoint.py).
 
 
 class MemoryStore:
-    """Implements `koordgen.runtime.agent.store.Keeper`; it outlives its agent."""
+    """Persistent store in memory, which outlives its agent.
+
+    Implements `koordgen.runtime.agent.checkpoint.CheckpointStore`."""
 
     def __init__(self) -> None:
         self._mission: Mission | None = None
@@ -71,10 +75,10 @@ class MemoryStore:
 KILLED = -9
 
 
-class Told:
-    """A trace's file, which remembers what was written since it was asked last."""
+class TraceFile:
+    """Trace file that also keeps the lines written since they were last read."""
 
-    def __init__(self, file: IO[bytes], shares: Shares) -> None:
+    def __init__(self, file: IO[bytes], shares: TimeShares) -> None:
         self._file, self._shares = file, shares
         self.lines: list[bytes] = []
 
@@ -86,16 +90,16 @@ class Told:
         self._shares.end("trace", began)
 
     def flush(self) -> None:
-        """The run's end is soon enough: nothing else reads it meanwhile."""
+        """Do nothing: nobody reads the file before the run's end."""
 
     def close(self) -> None:
         self._file.close()
 
 
-class Timed(MemoryNetwork):
-    """A network that tells what it takes."""
+class TimedNetwork(MemoryNetwork):
+    """Network in memory that measures its own processing time."""
 
-    def __init__(self, clock: Clock, seed: int, shares: Shares) -> None:
+    def __init__(self, clock: Clock, seed: int, shares: TimeShares) -> None:
         super().__init__(clock, seed)
         self._shares = shares
 
@@ -112,19 +116,19 @@ class Timed(MemoryNetwork):
 
 
 class Shared:
-    """What all agents of a run have in common."""
+    """Objects that all agents of a run share."""
 
     def __init__(self, scenario: Scenario, root: Path, seed: int, key: bytes, iterations: int, limit: Limit) -> None:
         self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
         self.iterations, self.limit = iterations, limit
         self.clock = SimulatedClock()
-        self.shares = Shares()
-        self.network = Timed(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
-        self.hub = Hub()
+        self.shares = TimeShares()
+        self.network = TimedNetwork(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
+        self.hub = MemoryWiring()
 
 
-class Resident(Agent):
-    """Implements crew.Agent. Made, not yet launched."""
+class LockstepAgent(AgentHandle):
+    """Agent handle of a robot in lockstep. After construction it is not yet launched."""
 
     def __init__(self, robot: Robot, folder: Path, shared: Shared) -> None:
         super().__init__(robot, folder, shared.scenario.delta)
@@ -133,11 +137,13 @@ class Resident(Agent):
         self._dice = Random(f"{shared.seed}/{robot.pid}/agent")
         self._store = MemoryStore()
         self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
-        self._out: Told | None = None  # the trace's file
-        self._seen: list[TraceRecord] = []  # since `look` was asked last
-        self._own = Own(shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log)
+        self._out: TraceFile | None = None  # the trace's file
+        self._seen: list[TraceRecord] = []  # since `look` was last called
+        self._own = BundleModules(
+            shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log
+        )
         self._inside: AbstractContextManager[None] = self._own
-        self._surroundings: list[Surroundings] = []  # of each start: what ran beside a crashed agent runs on
+        self._surroundings: list[LockstepServices] = []  # one per start: devices beside a crashed agent run on
         self._machine: Machine | None = None
         self._platform: Platform | None = None
         self._transport: MemoryTransport | None = None
@@ -146,7 +152,7 @@ class Resident(Agent):
         self._wake = self._polled = self._thawed = 0.0
 
     def launch(self, actor: Actor) -> None:
-        """Begin. Raises OSError."""
+        """Launch the agent. Raises OSError."""
         self._actor = actor
         settings = {
             "network": {"transport": "unicast"}, "state": None, "key_file": None, "trace": None,
@@ -160,7 +166,7 @@ class Resident(Agent):
         self._status, self._wake = None, shared.clock.now()
         self._out = self._opened()
         seed = self._dice.getrandbits(31)
-        self._surroundings.append(Surroundings(shared.hub, shared.clock.now, seed, shared.iterations))
+        self._surroundings.append(LockstepServices(shared.hub, shared.clock.now, seed, shared.iterations))
         try:
             with self._own:
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
@@ -183,20 +189,20 @@ class Resident(Agent):
             self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
 
     def _overrides(self, actor: Actor) -> dict[str, Any]:
-        """What is laid over the robot's settings."""
+        """Return the settings that override the robot's own."""
         return {"body": actor.overrides}
 
-    def _opened(self) -> Told:
-        """The trace's file. Raises OSError."""
-        return Told(self.trace_file.open("ab"), self._shared.shares)
+    def _opened(self) -> TraceFile:
+        """Open the trace's file. Raises OSError."""
+        return TraceFile(self.trace_file.open("ab"), self._shared.shares)
 
     def _loaded(self) -> tuple[Program, Properties, Drivers]:
-        """See `_loaded` below."""
+        """Return program, properties and drivers of the robot's bundle."""
         return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle)
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
-        """The device's own platform, where it has one, else the target's."""
-        if isinstance(actor.device, Embodied):
+        """Return the platform of the device if it has one, otherwise that of the target."""
+        if isinstance(actor.device, DirectlyDriven):
             return actor.device.platform(settings, self._shared.key, self._surroundings[-1])
         module, _, member = self.robot.inside.partition(":")
         made: Platform = getattr(importlib.import_module(module), member)(
@@ -206,7 +212,7 @@ class Resident(Agent):
 
     @property
     def due(self) -> float:
-        """When it is to be polled next: when it has asked to be, or as `Transport.wait` would end."""
+        """Time of the next poll: as the agent requested, or when `Transport.wait` would return."""
         machine = self._machine
         if machine is None:
             return math.inf
@@ -220,7 +226,7 @@ class Resident(Agent):
         return max(due, self._thawed)
 
     def poll(self, now: float) -> None:
-        """Let it do what is due."""
+        """Run the agent for all work that is due."""
         machine = self._machine
         if machine is None:
             return
@@ -235,20 +241,20 @@ class Resident(Agent):
             self._leave(machine.status)
 
     def beside(self, now: float) -> None:
-        """What runs beside it, at each step of the world."""
+        """Run the devices beside the agent, at each step of the world."""
         for surroundings in self._surroundings:
             for step in surroundings.steps:
                 step(now)
 
     def _leave(self, status: int) -> None:
-        """It has ended by itself: everything is given back in order."""
+        """Close the platform in order, after the agent has ended by itself."""
         if self._platform is not None:
             with self._own:
                 self._platform.close()
         self._drop(status)
 
     def _drop(self, status: int) -> None:
-        """It is gone: nothing of it is called any more."""
+        """Detach everything of the agent, without calling it."""
         if self._transport is not None:
             self._transport.close()
         for surroundings in self._surroundings:
@@ -269,7 +275,7 @@ class Resident(Agent):
             self._log.write(line + "\n")
 
     def note(self, line: str) -> None:
-        """See Agent: between the agent's own lines."""
+        """Write a line between the agent's own lines. See AgentHandle."""
         self._emit("warning", line)
 
     def _warn(self, text: str) -> None:
@@ -283,7 +289,7 @@ class Resident(Agent):
     def status(self) -> int | None:
         return self._status
 
-    def tell_end(self) -> None:
+    def request_end(self) -> None:
         self.told = True
         if self._thawed == math.inf:
             self.thaw()
@@ -327,12 +333,12 @@ class Resident(Agent):
         return records
 
     def _read(self) -> None:
-        """Take what has been traced."""
+        """Read the records traced since the last call."""
         if self._out is None:
             return
         lines, self._out.lines = self._out.lines, []
         for line in lines:
-            if not line.startswith(HEADER):  # an agent's says other things than the merged file's
+            if not line.startswith(HEADER):  # an agent's own header differs from that of the merged trace
                 record = decoded(line)
                 if record is not None:
                     self._take(record)
@@ -351,14 +357,16 @@ class Resident(Agent):
         return super().last_lines(count)
 
     def close(self) -> None:
-        """End it, and give its files back. Idempotent."""
+        """End the agent and close its files. Idempotent."""
         self._drop(KILLED if self._status is None else self._status)
         with suppress(OSError):
             self._log.close()
 
 
 def _loaded(scenario: Scenario, bundle: Path) -> tuple[Program, Properties, Drivers]:
-    """What the bundle's `__main__.py` takes from beside it. Within `Own`. Raises BadExtern and what imports raise."""
+    """Return what the bundle's `__main__.py` loads. Call within BundleModules.
+
+    Raises BadExtern and whatever imports raise."""
     program: Program = importlib.import_module("program").PROGRAM
     properties = properties_of(bundle, program)
     if program.library is not None:

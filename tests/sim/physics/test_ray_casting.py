@@ -18,8 +18,8 @@ from targets.sim.base.scenario import PYBULLET
 from targets.sim.physics.bullet import Bullet
 from targets.sim.physics.car import HEIGHT, SimulatedCar
 from targets.sim.physics.quadrotor import RADIUS, SimulatedQuadrotor
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import SimulatedWorld
 from tests.sim.physics.engines import needs_pybullet
 
 # Nothing is ever exactly where a lidar is: these are whole millimetres, lidars stand between two.
@@ -35,8 +35,8 @@ anything: st.SearchStrategy[Obstacle] = st.one_of(blocks, spheres, cylinders, tr
 
 
 @pytest.fixture(scope="module")
-def empty() -> Iterator[World]:
-    world = World()
+def empty() -> Iterator[SimulatedWorld]:
+    world = SimulatedWorld()
     SimulatedCar(world, (900.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     yield world
     world.close()
@@ -50,15 +50,15 @@ def empty() -> Iterator[World]:
     st.sampled_from([3.0, 30.0]),
 )
 def test_ranges_are_those_of_plane_geometry(
-    empty: World, obstacles: list[Obstacle], places: list[Vector], rays: int, reach: float
+    empty: SimulatedWorld, obstacles: list[Obstacle], places: list[Vector], rays: int, reach: float
 ) -> None:
-    from targets.sim.physics.sight import Scenery
+    from targets.sim.physics.ray_casting import ObstacleMap
 
-    empty._scenery = Scenery()
+    empty._obstacles = ObstacleMap()
     for obstacle in obstacles:
-        empty._scenery.stand(obstacle)
-    looking = [Eye(p, rays + i, reach) for i, p in enumerate(places)]
-    for eye, found in zip(looking, empty.look(looking), strict=True):
+        empty._obstacles.stand(obstacle)
+    looking = [LidarMount(p, rays + i, reach) for i, p in enumerate(places)]
+    for eye, found in zip(looking, empty.cast_rays(looking), strict=True):
         assert len(found) == eye.rays
         for i, range_ in enumerate(found.tolist()):
             wanted = [[to_obstacle(eye.place, math.tau * i / eye.rays + off, o) for o in obstacles] + [math.inf]
@@ -68,7 +68,7 @@ def test_ranges_are_those_of_plane_geometry(
             assert any(range_ == n or abs(range_ - n) < 1e-6 for n in nearest), (eye, i, nearest)
 
 
-def bullet_rays(world: World, eye: Eye) -> list[float]:
+def bullet_rays(world: SimulatedWorld, eye: LidarMount) -> list[float]:
     """The same by PyBullet."""
     assert isinstance(world.engine, Bullet)
     x, y, z = eye.place
@@ -90,11 +90,11 @@ def test_they_are_pybullets_but_for_what_it_is_off_at_round_things() -> None:
         (Sphere(Point(2.0, 0.5, 0.3), 0.6), 4e-3),
         (Cylinder(Point(2.0, -0.5, 0.0), 0.5, 1.0), 4e-3),
     ):
-        world = World(engine=PYBULLET)
+        world = SimulatedWorld(engine=PYBULLET)
         world.obstacle(obstacle)
         SimulatedCar(world, (900.0, 0.0, 0.0), 0.0, 0.33, 0.4)
-        eye = Eye((0.1, 0.05, 0.25), 720, 6.0)
-        (ours,) = world.look([eye])
+        eye = LidarMount((0.1, 0.05, 0.25), 720, 6.0)
+        (ours,) = world.cast_rays([eye])
         theirs = bullet_rays(world, eye)
         world.close()
         compared = 0
@@ -109,9 +109,9 @@ def test_they_are_pybullets_but_for_what_it_is_off_at_round_things() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0])
 def test_a_car_is_seen_as_the_box_that_it_is(yaw: float) -> None:
-    world = World()
+    world = SimulatedWorld()
     SimulatedCar(world, (2.0, 1.0, 0.0), yaw, 0.33, 0.4)
-    (found,) = world.look([Eye((0.0, 0.0, 0.07), 720, 6.0)])
+    (found,) = world.cast_rays([LidarMount((0.0, 0.0, 0.07), 720, 6.0)])
     ahead, aside = 0.165, 0.0
     centre = np.array([2.0 + ahead * math.cos(yaw), 1.0 + ahead * math.sin(yaw)])
     corners = [(0.25, 0.14), (-0.25, 0.14), (-0.25, -0.14), (0.25, -0.14), (0.25, 0.14)]
@@ -125,14 +125,16 @@ def test_a_car_is_seen_as_the_box_that_it_is(yaw: float) -> None:
         assert range_ == pytest.approx(wanted, abs=1e-6), i
         hits += math.isfinite(wanted)
     assert hits > 15
-    assert not np.isfinite(world.look([Eye((0.0, 0.0, HEIGHT + 0.01), 720, 6.0)])[0]).any(), "it looks over it"
+    assert not np.isfinite(world.cast_rays([LidarMount((0.0, 0.0, HEIGHT + 0.01), 720, 6.0)])[0]).any(), (
+        "it looks over it"
+    )
     world.close()
 
 
 def test_a_quad_is_seen_as_the_cylinder_that_it_is_tilted_or_not() -> None:
-    world = World()
+    world = SimulatedWorld()
     quad = SimulatedQuadrotor(world, (2.0, 0.0, 1.0), 0.0)
-    (level,) = world.look([Eye((0.0, 0.0, 1.06), 360, 6.0)])
+    (level,) = world.cast_rays([LidarMount((0.0, 0.0, 1.06), 360, 6.0)])
     assert level[0] == pytest.approx(2.0 - RADIUS, abs=1e-9)
     assert {i for i in range(360) if math.isfinite(level[i])} == {i % 360 for i in range(-5, 6)}
     quad.motors(True)
@@ -143,10 +145,10 @@ def test_a_quad_is_seen_as_the_cylinder_that_it_is_tilted_or_not() -> None:
     tilt = math.acos(motion.up[2])
     assert tilt > 0.2
     x, _, z = motion.position
-    (tilted,) = world.look([Eye((0.0, 0.0, z), 360, 6.0)])
+    (tilted,) = world.cast_rays([LidarMount((0.0, 0.0, z), 360, 6.0)])
     # Level through its centre it is narrower along the way than its diameter, for its top or its bottom cuts it.
     half = min(RADIUS / math.cos(tilt), 0.06 / math.sin(tilt))
     assert tilted[0] == pytest.approx(x - half, abs=1e-6)
-    own = world.look([Eye((x, 0.0, z), 360, 6.0, quad.rigid.number)])[0]
+    own = world.cast_rays([LidarMount((x, 0.0, z), 360, 6.0, quad.rigid.number)])[0]
     assert not np.isfinite(own).any(), "it does not see itself"
     world.close()

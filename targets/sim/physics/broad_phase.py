@@ -1,4 +1,4 @@
-"""Broad phase: which bodies may touch something soon. The others need no contact engine."""
+"""Broad phase: finds the bodies that may touch something soon. All others need no contact engine."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import Vector
 from targets.sim.physics.rigid import Array, Mask, Motions, total
 
-LOOK_EVERY = 12  # steps
-MOST_ACCELERATION = 40.0  # m/s^2, more than motors and gravity together give
+BROAD_PHASE_PERIOD = 12  # steps
+MOST_ACCELERATION = 40.0  # m/s^2, more than motors and gravity give together
 MARGIN = 0.05  # m; PyBullet finds contacts at 0.02 or less
 
 
-class Near:
-    """What stands there, as boxes along the axes, each with the obstacle in it; a mesh is as many as its triangles."""
+class BroadPhase:
+    """Obstacles as axis-aligned boxes, each with its obstacle's number; a mesh has one box per triangle."""
 
     def __init__(self) -> None:
         self._lo = np.zeros((3, 0))
         self._hi = np.zeros((3, 0))
-        self._numbers = np.zeros(0, dtype=int)  # of the boxes' obstacles
-        self._many = 0  # obstacles
+        self._numbers = np.zeros(0, dtype=int)  # obstacle of each box
+        self._obstacle_count = 0  # number of obstacles
 
     def stand(self, obstacle: Obstacle) -> None:
-        """One more obstacle."""
+        """Add an obstacle."""
         for lo, hi in _boxes(obstacle):
             self._lo = np.column_stack((self._lo, lo))
             self._hi = np.column_stack((self._hi, hi))
-            self._numbers = np.append(self._numbers, self._many)
-        self._many += 1
+            self._numbers = np.append(self._numbers, self._obstacle_count)
+        self._obstacle_count += 1
 
     def move(self, number: int, by: Vector) -> None:
         """Move an obstacle by a vector (m)."""
@@ -37,12 +37,12 @@ class Near:
         self._hi[:, self._numbers == number] += np.array(by)[:, None]
 
     def to_floor(self, motions: Motions, reach: Array, seconds: float) -> Mask:
-        """Which bodies may reach the floor within so many seconds. `reach` is how far a body extends (m)."""
+        """Return which bodies may reach the floor within `seconds`. `reach`: radius of each body (m)."""
         found: Mask = motions.position[2] < reach + _travel(motions.velocity, seconds)
         return found
 
     def to_others(self, motions: Motions, reach: Array, seconds: float) -> Mask:
-        """Which bodies may reach an obstacle or another body within so many seconds."""
+        """Return which bodies may reach an obstacle or another body within `seconds`."""
         position = motions.position
         swept = reach + _travel(motions.velocity, seconds)
         apart = position[:, :, None] - position[:, None, :]
@@ -57,7 +57,7 @@ class Near:
 
 
 def _travel(velocity: Array, seconds: float) -> Array:
-    """How far each body gets at most."""
+    """Return an upper bound of the distance that each body travels."""
     speed = np.sqrt(total(velocity * velocity))
     found: Array = speed * seconds + (MOST_ACCELERATION * seconds * seconds / 2 + MARGIN)
     return found
@@ -72,10 +72,10 @@ def _boxes(obstacle: Obstacle) -> list[tuple[Vector, Vector]]:
         case Cylinder(b, r, height):
             return [((b.x - r, b.y - r, b.z), (b.x + r, b.y + r, b.z + height))]
         case Mesh(vertices, faces):
-            return [_around([vertices[i] for i in face]) for face in faces]
+            return [_bounding_box([vertices[i] for i in face]) for face in faces]
     raise AssertionError(f"no obstacle: {obstacle}")
 
 
-def _around(corners: list[Point]) -> tuple[Vector, Vector]:
+def _bounding_box(corners: list[Point]) -> tuple[Vector, Vector]:
     x, y, z = [p.x for p in corners], [p.y for p in corners], [p.z for p in corners]
     return (min(x), min(y), min(z)), (max(x), max(y), max(z))

@@ -1,4 +1,6 @@
-"""Encoder of one robot's messages: heads, round messages in as few datagrams as possible, long entries in fragments."""
+"""Encoder of one robot's messages.
+
+Heads, round messages in as few datagrams as possible, long entries in fragments."""
 
 from __future__ import annotations
 
@@ -30,18 +32,21 @@ from koordgen.runtime.net.wire import (
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
-REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between exchanges that the clock learns from
-OTHERS = 16  # peers that a clock learns from in that time; in a larger fleet each peer comes more rarely
-ECHOES_A_LESSON = 2  # echoes sent for each exchange that is wanted: some are lost
+REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges used by the clock
+OTHERS = 16  # robots in a fleet up to which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
+ECHOES_A_LESSON = 2  # echoes sent per exchange needed: some are lost
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_FRAGMENTS_AT_ONCE = 16
 NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 
-Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]  # of wire.Round behind its head
+# fields of wire.RoundMessage after its head
+Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]
 
 
-class Speech:
-    """`sessions` are those of the peers that may be listened to, by pid: what arrived from them is echoed."""
+class MessageSender:
+    """Sender of one robot's messages.
+
+    `sessions` are those of adopted peers by pid: their datagrams are echoed."""
 
     def __init__(
         self,
@@ -58,7 +63,7 @@ class Speech:
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for entries or a fragment in one datagram
         self._pid = settings.pid
         hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
-        self._own = settings.application_id, *hashes, settings.pid, boot  # what every head begins with
+        self._own = settings.application_id, *hashes, settings.pid, boot  # first fields of every head
         self._release = bytes.fromhex(settings.release)
         self._key = key
         self._transport = transport
@@ -67,8 +72,8 @@ class Speech:
         self._sessions = sessions
         self._sequence = 0  # of the last datagram
         self._others_every = others_every(len(settings.peers))
-        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, longest ago first
-        self._next_echo = -math.inf  # no peer is due before
+        self._echoed: dict[int, float] = {}  # time of the last echo to each peer, the longest ago first
+        self._next_echo = -math.inf  # no echo is due before
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Entry | None,
               start: int | None) -> None:  # fmt: skip
@@ -80,11 +85,10 @@ class Speech:
             self._send(list(to), kind(self._head(to), *fields))
 
     def round(self, to: Sequence[int], fields: Fields, received: Mapping[int, HeldFragments] = NOTHING) -> None:
-        """Send a round message: one datagram, or as few as its entries fit in, at most MOST_DATAGRAMS.
+        """Send a round message: one datagram, or as few as its entries fit into, at most MOST_DATAGRAMS.
 
-        `fields` are those of Round without the head. Entries beyond the last datagram wait to be asked for. Of an entry
-        that is longer than a datagram, the fragments that are not in `received` (by author) are sent.
-        """
+        `fields` are those of RoundMessage without the head. Entries beyond the last datagram are sent on request. Of an
+        entry that is longer than a datagram, the fragments that are not in `received` (by author) are sent."""
         if not to:
             return
         head = self._head(to)
@@ -106,8 +110,9 @@ class Speech:
             self._send(to, RoundMessage(self._head(to) if index else head, *fields[:-1], batch))
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
-        """Return the head of the next datagram. `every`: seconds between echoes to one peer; None: as often as peers
-        learn from them."""
+        """Return the head of the next datagram.
+
+        `every`: seconds between echoes to one peer; None: as often as peers use them."""
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
         echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
@@ -116,7 +121,7 @@ class Speech:
         return Head(*self._own, self.epoch, self._sequence, *stamps, echoes)
 
     def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
-        """Return the echoes for those peers in `to` that are due. The reference's echoes teach peers most."""
+        """Return the echoes for those peers in `to` that are due. The reference sends them most often."""
         if every is None:
             reference = self._fleet_clock.reference == self._pid
             every = (REFERENCE_EVERY if reference else self._others_every) / ECHOES_A_LESSON
@@ -133,7 +138,8 @@ class Speech:
         else:
             last = now  # all were due
         if everyone and now - last < every:  # no peer is left that is due
-            self._next_echo = max(last, now - every / 2) + every  # those due a little later wait for one another
+            # peers due a little later are postponed, and share one datagram
+            self._next_echo = max(last, now - every / 2) + every
         for pid in due:
             del echoed[pid]  # goes to the end
             echoed[pid] = now
@@ -158,7 +164,7 @@ class Speech:
             if batch and length > room:
                 batches.append(tuple(batch))
                 if len(batches) == MOST_DATAGRAMS:
-                    return batches  # the rest waits to be asked for, and may be long
+                    return batches  # the rest is sent on request, and may be long
                 batch, room = [], self.room
             batch.append(entry)
             room -= length
@@ -171,9 +177,8 @@ class Speech:
 def others_every(n_sys: int) -> float:
     """Return the seconds between exchanges with a peer that is not the reference.
 
-    They are needed in case that peer becomes the reference. At the pace of a small fleet they would be the greatest
-    expense of a large one.
-    """
+    They are needed in case that peer becomes the reference. At the rate of a small fleet, they would be the largest
+    cost of a large one."""
     return OTHERS_EVERY * max(1.0, n_sys / OTHERS)
 
 

@@ -1,12 +1,12 @@
-/* Puts random datagrams through the courier, under the compiler's sanitizers: courier.c is compiled together with this.
+/* Puts random datagrams through the batch I/O, under the compiler's sanitizers: socket_batch.c is compiled together with this.
    Arguments: how many datagrams, and the seed. Exit status 0 when all that was sent came out, in order, and each echo once. */
 
 #define _GNU_SOURCE
 #include <sys/socket.h>
 
 static ssize_t send_interrupted(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
-#define sendto send_interrupted /* by the courier */
-#include "courier.c"
+#define sendto send_interrupted /* by the batch I/O */
+#include "socket_batch.c"
 #undef sendto
 
 #include <stdio.h>
@@ -52,7 +52,7 @@ static int open_socket(struct sockaddr_in *address) {
 }
 
 static void know(Inbox *inbox, int place, const struct sockaddr_in *address) {
-    courier_address(inbox, place, (const uint8_t *)address, (int32_t)sizeof *address);
+    socket_batch_address(inbox, place, (const uint8_t *)address, (int32_t)sizeof *address);
 }
 
 /* A datagram that one socket gets, from a stranger or by our own sending: random, and now and then one to the group. */
@@ -63,7 +63,7 @@ static void send_one(Inbox *inbox, int from, int to, const struct sockaddr_in *a
     for (int i = 0; i < made->length; i++) made->data[i] = (uint8_t)rand();
     if (made->own) know(inbox, GROUP, address);
     interrupts = rand() % 4;
-    if (made->own || rand() % 2) check(!courier_send(inbox, made->own ? GROUP : to, made->data, made->length), "send");
+    if (made->own || rand() % 2) check(!socket_batch_send(inbox, made->own ? GROUP : to, made->data, made->length), "send");
     else check(sendto(from, made->data, (size_t)made->length, 0, (const struct sockaddr *)address, sizeof *address) >= 0, "send");
     made->own = made->own && made->length <= LARGEST;
 }
@@ -74,18 +74,18 @@ static void check_places(Inbox *inbox, const struct sockaddr_in *address) {
     int none[] = {-1, PLACES, INT32_MIN, INT32_MAX, 7};
     for (int i = 0; i < 5; i++) {
         if (i < 4) know(inbox, none[i], address);
-        check(courier_send(inbox, none[i], large, 1) == EDESTADDRREQ, "sent to no place");
+        check(socket_batch_send(inbox, none[i], large, 1) == EDESTADDRREQ, "sent to no place");
     }
     for (int32_t size = -1; size <= (int32_t)sizeof large; size += (int32_t)sizeof large + 1) {
         know(inbox, 7, address);
-        courier_address(inbox, 7, large, size);
-        check(courier_send(inbox, 7, large, 1) == EDESTADDRREQ, "sent to no address");
+        socket_batch_address(inbox, 7, large, size);
+        check(socket_batch_send(inbox, 7, large, 1) == EDESTADDRREQ, "sent to no address");
     }
     large[0] = large[1] = UINT8_MAX;
-    courier_address(inbox, 7, large, (int32_t)sizeof large - 1);
-    check(courier_send(inbox, 7, large, 1) == EAFNOSUPPORT, "sent to an address of no kind");
+    socket_batch_address(inbox, 7, large, (int32_t)sizeof large - 1);
+    check(socket_batch_send(inbox, 7, large, 1) == EAFNOSUPPORT, "sent to an address of no kind");
     know(inbox, 7, address);
-    check(courier_send(inbox, 7, large, 70000) == EMSGSIZE, "too long");
+    check(socket_batch_send(inbox, 7, large, 70000) == EMSGSIZE, "too long");
 }
 
 /* Whether it is the next of one socket. */
@@ -110,26 +110,26 @@ static int take_all(Inbox *inbox, int32_t used) {
 
 static void wait_and_see(Inbox *inbox, int32_t duration, int32_t expected, int32_t patience, int *taken) {
     const int32_t before = *taken ? 0 : inbox->shown.arrived;
-    const int32_t found = courier_wait(inbox, expected, *taken, duration, patience);
+    const int32_t found = socket_batch_wait(inbox, expected, *taken, duration, patience);
     check(found >= before && found == inbox->shown.arrived, "found");
     *taken = 0;
 }
 
 static int32_t receive(Inbox *inbox) {
-    check(courier_receive(inbox) == inbox->shown.arrived, "received");
+    check(socket_batch_receive(inbox) == inbox->shown.arrived, "received");
     return inbox->shown.used;
 }
 
 int main(int count, char **arguments) {
-    check(count == 3, "usage: courier_driver DATAGRAMS SEED");
+    check(count == 3, "usage: socket_batch_driver DATAGRAMS SEED");
     int todo = atoi(arguments[1]), from, sockets[MOST_SOCKETS];
     struct sockaddr_in nobody, address[MOST_SOCKETS];
-    Inbox *inbox = malloc(courier_inbox_size());
+    Inbox *inbox = malloc(socket_batch_inbox_size());
     uint8_t *slots = malloc((size_t)MOST_AT_ONCE * LARGEST);
     srand((unsigned)atoi(arguments[2]));
     from = open_socket(&nobody);
     for (int i = 0; i < MOST_SOCKETS; i++) sockets[i] = open_socket(&address[i]);
-    courier_open(inbox, slots, sockets, MOST_SOCKETS, 0);
+    socket_batch_open(inbox, slots, sockets, MOST_SOCKETS, 0);
     for (int i = 0; i < MOST_SOCKETS; i++) know(inbox, i, &address[i]);
     check_places(inbox, &nobody);
     while (todo > 0) {
@@ -149,9 +149,9 @@ int main(int count, char **arguments) {
     }
     for (int i = 0; i < 100; i++) learn(inbox, 1, now()); /* what came had come before */
     check(inbox->shown.pace == SHORT_PACE, "pace");
-    courier_close(inbox);
-    check(!receive(inbox) && !courier_wait(inbox, 1, 1, 0, 0), "closed");
-    check(courier_send(inbox, 0, slots, 1) == EBADF, "closed, and sends");
+    socket_batch_close(inbox);
+    check(!receive(inbox) && !socket_batch_wait(inbox, 1, 1, 0, 0), "closed");
+    check(socket_batch_send(inbox, 0, slots, 1) == EBADF, "closed, and sends");
     for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);
     close(from);
     free(slots);

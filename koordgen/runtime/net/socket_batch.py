@@ -1,4 +1,4 @@
-"""Socket batch I/O in C: the binding of courier.c, with the interface that `inbox` documents.
+"""Socket batch I/O in C: the binding of socket_batch.c, with the interface that `inbox` documents.
 
 The library is compiled at its first use in a process, kept in a cache, and loaded by ctypes: see `native`.
 """
@@ -17,7 +17,7 @@ from typing import Any
 from koordgen.runtime.native.loader import Compiled, NotCompiled, declare
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-SOURCE = Path(__file__).with_name("courier.c")
+SOURCE = Path(__file__).with_name("socket_batch.c")
 FLAGS = (
     "-std=c99",
     "-O2",
@@ -30,11 +30,11 @@ FLAGS = (
     f"-DGROUP={GROUP}",
 )
 _MOST_ERRORS = 16
-_LONGEST = 2000.0  # seconds: the longest wait that C can be told
+_LONGEST = 2000.0  # seconds: the longest wait that C accepts
 
 
 class Shown(ctypes.Structure):
-    """Fields that C and Python share of an inbox: see Shown in courier.c."""
+    """Fields of an inbox that C and Python share: see Shown in socket_batch.c."""
 
     _fields_ = (
         ("spins", c_int64),
@@ -50,16 +50,16 @@ class Shown(ctypes.Structure):
 
 def prove(found: ctypes.CDLL) -> None:
     """Declare the functions. Raises NotCompiled if the library does not fit this module."""
-    declare(found, "courier_", _FUNCTIONS)
-    if found.courier_shown_size() != ctypes.sizeof(Shown):
-        raise NotCompiled("the compiled courier lays its memory out otherwise than Python reads it")
+    declare(found, "socket_batch_", _FUNCTIONS)
+    if found.socket_batch_shown_size() != ctypes.sizeof(Shown):
+        raise NotCompiled("the compiled socket I/O has another memory layout than Python expects")
     inbox = CompiledInbox(found, [], lambda number: None)
     inbox.wait(0.0)
     if inbox.receive():
-        raise NotCompiled("the compiled courier finds datagrams where there is no socket")
+        raise NotCompiled("the compiled socket I/O receives datagrams without a socket")
 
 
-# ctypes converts undeclared arguments behind the first, ints and bytes, in a third of the time.
+# ctypes converts undeclared arguments after the first (ints and bytes) three times as fast as declared ones.
 _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "inbox_size": (c_size_t, ()),
     "shown_size": (c_size_t, ()),
@@ -83,16 +83,20 @@ class CompiledInbox:
     def __init__(self, found: ctypes.CDLL, sockets: Sequence[socket.socket], trouble: Callable[[int], None],
                  shares: bool = False) -> None:  # fmt: skip
         self._trouble = trouble
-        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
-        self._state = ctypes.create_string_buffer(found.courier_inbox_size())
+        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system creates its pages on first use
+        self._state = ctypes.create_string_buffer(found.socket_batch_inbox_size())
         self.shown = Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
-        self._wait, self._receive = found.courier_wait, found.courier_receive
-        self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
-        self._found: int | None = None  # datagrams that `wait` has found for `receive`; -1: there are errors too
+        self._wait, self._receive = found.socket_batch_wait, found.socket_batch_receive
+        self._address, self._send, self._close = (
+            found.socket_batch_address,
+            found.socket_batch_send,
+            found.socket_batch_close,
+        )
+        self._found: int | None = None  # number of datagrams that `wait` has found; -1: there are errors, too
         slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
         numbers = (c_int32 * len(sockets))(*[each.fileno() for each in sockets])
-        found.courier_open(self._at, slots, numbers, len(sockets), shares)
+        found.socket_batch_open(self._at, slots, numbers, len(sockets), shares)
 
     def address(self, place: int, address: Address) -> None:
         written = as_written(address)
@@ -108,7 +112,7 @@ class CompiledInbox:
 
     def receive(self) -> list[bytes]:
         found, self._found = self._found, None
-        if found is None:  # else `wait` has looked already
+        if found is None:  # `wait` has already received otherwise
             found = self._receive(self._at)
         if found < 0:
             self._report()
@@ -139,7 +143,7 @@ def _microseconds(seconds: float) -> int:
 
 
 def as_written(address: Address) -> bytes:
-    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError if it is none."""
+    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError if it is invalid."""
     host, port = address[:2]
     if len(address) == 2:
         return struct.pack("=H", socket.AF_INET) + struct.pack("!H4s8x", port, socket.inet_pton(socket.AF_INET, host))

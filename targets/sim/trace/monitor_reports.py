@@ -1,4 +1,6 @@
-"""What the robots' own monitors said of a run, beside what was true in it: they know less, and look once a round."""
+"""Monitor reports: verdicts of the robots' own monitors, compared with the simulator's verdicts.
+
+Robots know less than the simulator and check once per round."""
 
 from __future__ import annotations
 
@@ -10,17 +12,19 @@ import msgspec
 from koordgen.runtime.trace.schema import Monitor, Verdict
 
 MOST = 200  # changes that pages show
-OF_ONE = 6  # of one property and robot, where nothing is done about it: an exact box is left again and again
+OF_ONE = 6  # per property and robot without a reaction: a box may be left again and again
 ACTS = {"hold": "holds", "land": "lands", "stop": "comes to rest"}
-SOON = 2  # rounds within which a robot that can tell has looked
+SOON = 2  # rounds within which a robot's monitor has evaluated the property
 
 Key = tuple[str, str, str]  # of, name, line
 
 
-class Noticed(msgspec.Struct):
-    """One property: who saw it violated, and when first; what these did then, if anything; who said that it holds, by
-    nothing old, while it was violated in truth; who saw it violated although it held in truth, as far as the simulator
-    has watched."""
+class MonitorSummary(msgspec.Struct):
+    """Monitor reports on one property.
+
+    `seen`: robots that reported a violation, with the first time. `acted`: their reactions. `missed`: robots that
+    reported "holds" from current data while the property was violated. `mistaken`: robots that reported a violation
+    while it held, as far as the simulator judged it."""
 
     of: str
     name: str
@@ -31,8 +35,8 @@ class Noticed(msgspec.Struct):
     mistaken: list[str] = []
 
 
-class Notable:
-    """Which changes people want to see: that a robot sees a property violated, and no more; not without end."""
+class DisplayFilter:
+    """Filter of monitor records for display: violations and their ends, up to fixed numbers."""
 
     def __init__(self) -> None:
         self._violated: set[tuple[int, Key]] = set()
@@ -40,7 +44,7 @@ class Notable:
         self._count = 0
 
     def take(self, record: Monitor) -> bool:
-        """Whether this one is shown; in the order of the trace."""
+        """Return whether a record is shown. Call in the order of the trace."""
         key = (record.pid, _key(record))
         if record.outcome == "violated":
             self._violated.add(key)
@@ -55,13 +59,13 @@ class Notable:
 
 
 def said(record: Monitor) -> str:
-    """The property, its outcome and what the robot does then, in a few words."""
+    """Return property, outcome and reaction as a short text."""
     does = f", {ACTS[record.action]}" if record.outcome == "violated" and record.action in ACTS else ""
     return f"{record.of} {record.name}".strip() + f": {record.outcome}{does}"
 
 
 class Monitored:
-    """Gathers what monitors said, by property and robot."""
+    """Collector of monitor records by property and robot."""
 
     def __init__(self, names: dict[int, str], delta: float) -> None:
         self._names, self._delta = names, delta
@@ -70,13 +74,14 @@ class Monitored:
     def take(self, record: Monitor) -> None:
         self._said.setdefault(_key(record), {}).setdefault(record.pid, []).append(record)
 
-    def beside(self, verdicts: Sequence[Verdict]) -> list[Noticed]:
-        """Of each property of which there is something to say; one that the simulator does not watch, as a contract of
-        a function, has nobody who missed it."""
+    def beside(self, verdicts: Sequence[Verdict]) -> list[MonitorSummary]:
+        """Compare with the simulator's verdicts. Return the properties with something to report.
+
+        A property that the simulator does not judge, such as a contract of a function, has no `missed`."""
         truths = {(v.of, v.name, v.line): v for v in verdicts}
         found = []
         for key, by_robot in self._said.items():
-            one, truth = Noticed(*key), truths.get(key)
+            one, truth = MonitorSummary(*key), truths.get(key)
             for pid, records in sorted(by_robot.items()):
                 name = self._names.get(pid, f"robot {pid}")
                 first = next((r for r in records if r.outcome == "violated"), None)
@@ -93,14 +98,14 @@ class Monitored:
         return found
 
     def _held(self, records: list[Monitor], since: float | None) -> bool:
-        """Whether that was the robot's last word when it had had the time to look."""
+        """Return whether the robot reported "holds" from current data after it had time to evaluate."""
         until = (0.0 if since is None else since) + SOON * self._delta
         last = next((r for r in reversed(records) if r.t <= until), None)
         return last is not None and last.outcome == "held" and last.age == 0
 
 
-def as_text(found: Noticed) -> str:
-    """One line for people."""
+def as_text(found: MonitorSummary) -> str:
+    """Return a summary as one line."""
     parts = []
     if found.seen:
         does = {name: f" ({ACTS[action]})" for name, action in found.acted.items()}

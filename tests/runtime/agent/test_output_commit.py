@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, cast
 
-from koordgen.runtime.agent.outbox import MOST_WAITING, Outbox, has_outputs
+from koordgen.runtime.agent.output_commit import MOST_WAITING, OutputCommit, has_outputs
 from koordgen.runtime.program.program import Effects, Life
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
@@ -39,8 +39,8 @@ def rounds(records: list[Record]) -> list[int]:
     return [r.round for r in records]
 
 
-def box(*records: Record) -> Outbox:
-    outbox = Outbox(life(0))
+def box(*records: Record) -> OutputCommit:
+    outbox = OutputCommit(life(0))
     for record in records:
         outbox.add(record, life=None if record.effects is None else life(record.round))
     return outbox
@@ -69,7 +69,7 @@ def test_without_a_store_only_records_before_the_first_event_are_certain() -> No
 
 
 def test_a_transaction_that_won_is_an_event_once_its_round_is_committed() -> None:
-    outbox, store = Outbox(life(0)), Store(applied=4)
+    outbox, store = OutputCommit(life(0)), Store(applied=4)
     outbox.add(did(5, m=1), 0, life(5))
     assert [outbox.undecided, outbox.decide(store.as_state()), outbox.life] == [True, None, life(0)]
     assert outbox.ready(store.as_state()) == []
@@ -82,7 +82,7 @@ def test_a_transaction_that_won_is_an_event_once_its_round_is_committed() -> Non
 
 
 def test_a_transaction_that_lost_contention_is_no_event() -> None:
-    outbox, store = Outbox(life(0)), Store(applied=5, won=3)
+    outbox, store = OutputCommit(life(0)), Store(applied=5, won=3)
     outbox.add(did(5, m=1), 0, life(5))
     assert outbox.decide(store.as_state()) is False and outbox.first is None
     [record] = outbox.ready(store.as_state())
