@@ -384,7 +384,7 @@ class _Output:
         self,
         goals: Sequence[Goal],
         demands: Sequence[LabelledFormula],
-        with_cleared_sensors: tuple[LabelledFormula, ...],
+        ended: tuple[LabelledFormula, ...],
     ) -> list[Obligation]:
         """Return one obligation per goal, and one that every operation has a value.
 
@@ -393,9 +393,7 @@ class _Output:
         found = []
         for wanted in goals:
             if wanted.at is None:
-                found.append(
-                    self.one(_named(wanted.invariant, self.kind, self.event), wanted, None, with_cleared_sensors)
-                )
+                found.append(self.one(_named(wanted.invariant, self.kind, self.event), wanted, None, ended))
             else:
                 name = _named_at_head(wanted.invariant, self.kind, self.event, wanted.line, wanted.place)
                 found.append(self.one(name, wanted, "loop", wanted.demands))

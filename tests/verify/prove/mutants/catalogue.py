@@ -49,7 +49,7 @@ MUTANTS: dict[str, Mutant] = {
     "an unset target is the origin": Mutant(
         "V1", UNSOUND, mission_start.LaunchState.of,
         "an unset target was the origin where the program does not read the position",
-        'if port.name == "target" and port.type == POINT:', 'if port.name == "targets":'),
+        "if name in self.held:", "if False:"),
     "of several writers in init the lowest pid counts": Mutant(
         "V1", UNSOUND, mission_start.StartState._cell, "init",
         "t.at_most(index, last)", "t.at_most(last, index)"),
@@ -89,7 +89,7 @@ MUTANTS: dict[str, Mutant] = {
         "problem.sensors - problem.cleared", "problem.sensors"),
     "a command does not clear `reached`": Mutant(
         "V2", UNSOUND, mission_start.with_cleared_sensors, "a command",
-        "if reached and wrote is not t.FALSE:", "if False:"),
+        "if (any_wrote := t.any_of(wrote)) is not t.FALSE:", "if False:"),
     "an invariant that failed is relied upon": Mutant(
         "V2", UNSOUND, verdict.prove, "an invariant that rests on a false one",
         "if p not in without]", "if True]"),

@@ -42,6 +42,12 @@ def test_a_wrong_prover_is_caught(name: str, solver: Solver) -> None:
     check(name, solver)
 
 
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_mutant_changes_one_line_of_the_prover(name: str) -> None:
+    with planted(MUTANTS[name]):
+        pass
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in MUTANTS if name not in FEW])
 def test_every_wrong_prover_is_caught(name: str, solver: Solver) -> None:
