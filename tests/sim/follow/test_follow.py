@@ -18,7 +18,7 @@ from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.verify.follow.exact import agree
-from koordgen.verify.prove.report.trace import About, run_trace
+from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 from tests.sim.follow.following import DRIVER, Followed, fleet, follow, replays
 from tests.verify.explore.mutants import MUTANTS as ALL
 from tests.verify.explore.mutants import Mutant
@@ -204,7 +204,7 @@ def test_what_only_exact_numbers_do_is_not_followed(tmp_path: Path) -> None:
     """49 times the float nearest to 1/49 is not 1."""
     trace = found(tmp_path, STATE.replace("PARTS", "49.0"), 2, command="prove")
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
-    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not come" in done.said
+    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not lead" in done.said
 
 
 def test_what_comes_of_a_rounded_number_agrees_up_to_rounding() -> None:
@@ -218,7 +218,9 @@ def test_numbers_that_are_near_to_no_float(tmp_path: Path) -> None:
         other = tmp_path / "other.jsonl"
         other.write_text(trace.read_text().replace("1/3", far))
         done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), other)
-        assert done.status == 1 and "is no float that robots have, nor near to one | a proof's numbers" in done.said
+        assert (
+            done.status == 1 and "is no float within the precision of robots' numbers | a proof's numbers" in done.said
+        )
 
 
 @pytest.mark.slow
@@ -258,7 +260,7 @@ def random_run(folder: Path, seed: int, robots: int, rounds: int) -> Path:
     last = list(made.known)[-20:]
     moments = tuple(made._run_to(last[Random(seed).randrange(len(last))]))
     trace = folder / "cx.jsonl"
-    trace.write_text(run_trace(program, moments, None, About(program_hash(program))))
+    trace.write_text(run_trace(program, moments, None, RunOrigin(program_hash(program))))
     return trace
 
 
@@ -268,7 +270,7 @@ def follow_random(folder: Path, seed: int, robots: int, rounds: int) -> str:
     trace = random_run(folder, seed, robots, rounds)
     done = follow(folder / "app.koord", fleet(folder, robots, SERVED), trace)
     if done.status == 4:
-        assert "no rounds of agents come to what the trace says" in done.said
+        assert "no rounds of agents lead to the state in the trace" in done.said
         return "another order"
     assert done.status == 0 and "with the same results" in done.said, done
     replays(done.folder)

@@ -1,4 +1,4 @@
-"""Reads the file of an environment; every mistake is told at its place."""
+"""Parser of environment files. Each mistake is reported with its place."""
 
 from __future__ import annotations
 
@@ -19,22 +19,24 @@ from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
+from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
 from koordgen.verify.explore.lidar import lidar
 
-MOST = 100_000  # values of one port
-ROUNDING = 1e-9  # of a step: what rounding adds to a distance of so many steps
+MAX_VALUES = 100_000  # most values of one port
+ROUNDING = 1e-9  # relative tolerance, larger than the rounding error of a distance
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 
 
 def environment(program: decl.Program, n_sys: int, source: Source | None, report: Report) -> Environment | None:
-    """What the file says, and both values of each bool sensor that it does not name. None after a mistake was reported;
-    raises Lacking."""
+    """Return the environment of a file.
+
+    A bool sensor that the file does not name has both values. None after a mistake was reported. Raises
+    MissingEnvironment."""
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
     called = [name for name, p in ports.items() if p.direction == "callable"]
-    found = Environment({name: Domain((False, True)) for name, type_ in sensors.items() if type_ == BOOL}, {})
+    found = Environment({name: SensorDomain((False, True)) for name, type_ in sensors.items() if type_ == BOOL}, {})
     if source is not None:
         mistakes: list[int] = []
 
@@ -42,7 +44,7 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
             mistakes.append(1)
             report(*mistake)
 
-        found = _File(Reader(source, noted), program, sensors, called).read(found, n_sys)
+        found = _EnvironmentFile(Reader(source, noted), program, sensors, called).read(found, n_sys)
         if mistakes:
             return None
     for pid in range(n_sys):
@@ -55,18 +57,20 @@ def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type
     if missing:
         kind = f"answers, one of {', '.join(ANSWERS)}" if missing[0] in called else "values, a finite number of them"
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
-        raise Lacking(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
+        raise MissingEnvironment(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
     for name, answers in found.answers.items():
         if STRAIGHT in answers and not position_beside(program, name):
-            raise Lacking(f"{name}: a straight way begins at a position, and the program has no such sensor beside it")
+            raise MissingEnvironment(
+                f"{name}: a straight path begins at a position, but the program has no such sensor beside it"
+            )
 
 
-class _File:
+class _EnvironmentFile:
     def __init__(self, reader: Reader, program: decl.Program, sensors: dict[str, Type], called: list[str]) -> None:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
     def read(self, usual: Environment, n_sys: int) -> Environment:
-        """The whole file; `usual` is what holds where it says nothing."""
+        """Return the whole environment. `usual` has the values of what the file does not name."""
         table = self.reader.table(
             self.reader.document(), "the environment", [], [*self.sensors, *self.called, "params", "robots"]
         )
@@ -86,7 +90,7 @@ class _File:
         return found
 
     def _robots(self, node: YamlNode | None, usual: Environment, n_sys: int) -> dict[int, Environment]:
-        """Those of the fleet; one file may serve fleets of several sizes."""
+        """Return the environments of robots in this fleet. One file may serve fleets of several sizes."""
         found = {}
         keys = [key for key, _ in node.value] if node is not None and node.tag == "tag:yaml.org,2002:map" else []
         pids = [str(key.value) for key in keys if str(key.value).isdecimal()]
@@ -121,10 +125,10 @@ class _File:
                 found += self._values([item], name, PATH)
         return tuple(dict.fromkeys(found))
 
-    def _domain(self, node: YamlNode, name: str, usual: Domain | None) -> Domain:
+    def _domain(self, node: YamlNode, name: str, usual: SensorDomain | None) -> SensorDomain:
         type_ = self.sensors[name]
         if node.tag != "tag:yaml.org,2002:map":
-            return Domain(self._values(self._some(node, name), name, type_))
+            return SensorDomain(self._values(self._some(node, name), name, type_))
         keys = [key.value for key, _ in node.value]
         if "lidar" in keys:
             return self._lidar(node, name, type_)
@@ -135,7 +139,7 @@ class _File:
             found = self._grid(node, given, name, type_)
         elif "values" in keys:
             given = self.reader.table(node, name, ["values"], ["start"])
-            found = Domain(self._values(self._some(given.get("values"), name), name, type_))
+            found = SensorDomain(self._values(self._some(given.get("values"), name), name, type_))
         else:
             given, found = self._interval(node, name, type_)
         if "start" not in given:
@@ -143,31 +147,31 @@ class _File:
         starts = self._values(self._some(given["start"], f"{name}.start"), name, type_)
         strange = [value for value in starts if value not in found.values]
         if strange and found.values:
-            self.reader.report("F005", f"{name}.start: {strange[0]} is none of its values", given["start"])
+            self.reader.report("F005", f"{name}.start: {strange[0]} is not one of its values", given["start"])
         return found._replace(starts=starts)
 
-    def _grid(self, node: YamlNode, given: dict[str, YamlNode], name: str, type_: Type) -> Domain:
+    def _grid(self, node: YamlNode, given: dict[str, YamlNode], name: str, type_: Type) -> SensorDomain:
         reader = self.reader
         if type_ != POINT:
             reader.report("F004", f"{name} is of type {type_}: a grid has Points; write {_form(type_)}", node)
-            return Domain(())
+            return SensorDomain(())
         box = reader.table(given.get("grid"), f"{name}.grid", ["lo", "hi", "step"], [])
         lo, hi = reader.vector(box.get("lo"), "lo"), reader.vector(box.get("hi"), "hi")
         step = reader.number(box.get("step"), "step", 1e-6, 1e5)
         if lo is None or hi is None or step is None:
-            return Domain(())
+            return SensorDomain(())
         axes = self._axes(node, f"{name}.grid", zip(lo, hi, strict=True), step)
         points = tuple([Point(*place) for place in product(*axes)])
         if "moves" not in given:
-            return Domain(points)
+            return SensorDomain(points)
         reach = reader.number(given["moves"], f"{name}.moves", 0, 1000, int) or 0
-        return Domain(points, _within(reach * step * (1 + ROUNDING)))
+        return SensorDomain(points, _within(reach * step * (1 + ROUNDING)))
 
-    def _interval(self, node: YamlNode, name: str, type_: Type) -> tuple[dict[str, YamlNode], Domain]:
+    def _interval(self, node: YamlNode, name: str, type_: Type) -> tuple[dict[str, YamlNode], SensorDomain]:
         reader = self.reader
         if type_ not in (INT, FLOAT):
             reader.report("F004", f"{name} is of type {type_}: write {_form(type_)}", node)
-            return {}, Domain(())
+            return {}, SensorDomain(())
         kind, needed = (int, ["lo", "hi"]) if type_ == INT else (float, ["lo", "hi", "step"])
         given = reader.table(node, name, needed, ["step", "change", "start"])
         lo, hi = (reader.scalar(given.get(end), f"{name}.{end}", kind) for end in ("lo", "hi"))
@@ -175,24 +179,24 @@ class _File:
         step = reader.number(given["step"], f"{name}.step", least, 1e9, kind) if "step" in given else 1
         change = reader.number(given["change"], f"{name}.change", 0, None, kind) if "change" in given else None
         if lo is None or hi is None or step is None:
-            return given, Domain(())
+            return given, SensorDomain(())
         (values,) = self._axes(node, name, [(lo, hi)], step)
-        return given, Domain(tuple(values), None if change is None else _change(change + ROUNDING * step))
+        return given, SensorDomain(tuple(values), None if change is None else _change(change + ROUNDING * step))
 
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
-        """Per axis the numbers from its low to its high end; empty where there are too many, or none."""
+        """Return for each axis its numbers from low to high; empty if there are none, or too many."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
-        if min(counts) < 1 or math.prod(counts) > MOST:
-            self.reader.report("F005", f"{what} has no value, or more than {MOST}", node)
+        if min(counts) < 1 or math.prod(counts) > MAX_VALUES:
+            self.reader.report("F005", f"{what} has no value, or more than {MAX_VALUES}", node)
             return [[] for _ in ends]
         return [[_stepped(lo, step, k) for k in range(count)] for (lo, _), count in zip(ends, counts, strict=True)]
 
-    def _lidar(self, node: YamlNode, name: str, type_: Type) -> Domain:
+    def _lidar(self, node: YamlNode, name: str, type_: Type) -> SensorDomain:
         reader = self.reader
         if type_ != SCANS or not position_beside(self.program, name):
             reader.report("F004", f"{name} is of type {type_}: a lidar sees List<Point, Scan> from a position", node)
-            return Domain(())
+            return SensorDomain(())
         table = reader.table(
             reader.table(node, name, ["lidar"], []).get("lidar"), "lidar", ["rays", "range"], ["walls"]
         )
@@ -205,8 +209,8 @@ class _File:
             if lo is not None and hi is not None:
                 walls.append((Point(*lo), Point(*hi)))
         if rays is None or range_ is None:
-            return Domain(())
-        return Domain(((),), seen_from=lidar(rays, range_, tuple(walls)))
+            return SensorDomain(())
+        return SensorDomain(((),), seen_from=lidar(rays, range_, tuple(walls)))
 
     def _some(self, node: YamlNode | None, name: str) -> list[YamlNode]:
         items = self.reader.items(node, name)
@@ -218,7 +222,7 @@ class _File:
         return tuple(self._each_value(items, name, type_))
 
     def _each_value(self, items: list[YamlNode], name: str, type_: Type) -> Iterator[Value]:
-        """Values are written as those of params are."""
+        """Yield values, which are written like those of params."""
         at = Span(1, 1, 1, 1)
         param = decl.Param(name, type_, Const(0, type_, at), at)
         alone = replace(self.program, params=(param,), shared=(), locals=(), modules=())
@@ -240,7 +244,7 @@ def _form(type_: Type) -> str:
 
 
 def _stepped(lo: float, step: float, k: int) -> float:
-    """The number that is written so: three steps of 0.1 from 18 on are 18.3."""
+    """Return `lo` plus k steps, rounded in decimal: three steps of 0.1 from 18 on are 18.3."""
     return type(lo)(Decimal(repr(lo)) + k * Decimal(repr(step)))
 
 

@@ -1,6 +1,6 @@
-"""What is gathered while one obligation is encoded: facts, terms that name robots, formulas for all of them, demands.
+"""Proof context: facts, demands and universal formulas, gathered while a part is encoded.
 
-Symbols are called as the program calls things; what it has no name for has an `@` in it, so that nothing collides.
+A symbol has the name of the program's thing. A symbol for anything else contains an `@`, so that names never collide.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.types import Type
 from koordgen.verify.prove.encode.values import Val, build, shape
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact
-from koordgen.verify.prove.smt.term import Apply, Function, Op, Sort, Term, Value
+from koordgen.verify.prove.smt.obligation import LabelledFormula
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Sort, Term
 
-# What SMT-LIB gives a meaning of its own, quoted or not.
+# Names that SMT-LIB defines itself, quoted or not.
 _RESERVED = frozenset(
     (
         *(
@@ -39,24 +39,25 @@ _RESERVED = frozenset(
     )
 )
 _ZERO = t.integer(0)
-GENERATIONS = 1  # of terms naming robots that only instances bring forth
+GENERATIONS = 1  # passes of instantiation whose new robots are instantiated in turn
 
 
 def symbol(name: str) -> str:
-    """The symbol of what the program calls so."""
+    """Return the symbol for a name of the program."""
     return f"{name}@" if name in _RESERVED else name
 
 
-def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[Function]:
-    """Of a value that is a function of such terms, one for each part."""
+def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[FunctionSymbol]:
+    """Return the symbols of a value that is a function of `args`: one symbol for each part of its type."""
     domain = tuple([a.sort for a in args])
-    return [Function(name + suffix, domain, sort) for suffix, sort in shape(type_)]
+    return [FunctionSymbol(name + suffix, domain, sort) for suffix, sort in shape(type_)]
 
 
 class Universal:
-    """A formula that holds of every int in a domain: `instance` yields it for one, the domain's bounds included.
-    `robots`, `places`: whether these are robots, places in lists, or may be both. `inner`: it arose from an instance of
-    another."""
+    """A formula that holds for every int of a domain.
+
+    `instance` returns it for one int, with the domain's bounds. `robots`, `places`: whether the ints are robots, places
+    in lists, or both. `inner`: it arose in an instance of another universal."""
 
     def __init__(
         self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
@@ -67,37 +68,39 @@ class Universal:
         self.done: set[Term] = set()
 
 
-class Room:
-    """`robots`: how many there are, None when that is any number >= 1; `size` is the term of it. `unrolled`: what holds
-    of all is said of each of them, and not of terms that name them."""
+class ProofContext:
+    """Proof context of one part of a program.
+
+    `robots`: the number of robots, None for any number >= 1; `size`: its term. If `unrolled`, universals are
+    instantiated at each number of a robot, not at terms that name robots."""
 
     def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
         self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
-        self.facts: list[Fact] = []
+        self.facts: list[LabelledFormula] = []
         self.seen: dict[Term, int] = {}  # a fact's term -> the least position at which it is known
-        self.demands: list[Fact] = []  # what must hold for every operation to have a value
+        self.demands: list[LabelledFormula] = []  # conditions under which every operation has a value
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
-        self.indices: dict[Term, bool] = {}  # terms that name robots -> whether that is a fact
-        self.witnesses: dict[Term, None] = {}  # those of them that stand for some robot, of which something (not) holds
-        self.ignored: set[Term] = set()  # robots of which nothing need be said
+        self.indices: dict[Term, bool] = {}  # terms that may name robots -> whether each is known to name one
+        self.witnesses: dict[Term, None] = {}  # those of `indices` that are witnesses, and those from instances
+        self.ignored: set[Term] = set()  # terms at which no universal need be instantiated
         self.places: dict[Term, None] = {}  # terms that are places in lists
         self.universals: list[Universal] = []
-        self.own: Term | None = None  # the robot that acts
-        self.others: set[Term] = set()  # terms that name no robot, or another
-        self.known: dict[Term, Term] = {}  # what the guard tells of single variables
+        self.own: Term | None = None  # acting robot
+        self.others: set[Term] = set()  # terms that name no robot, or a robot other than the acting one
+        self.known: dict[Term, Term] = {}  # values that the guard gives to single variables
         self.instantiating = False
         self.passes = 0
-        self.position = 0  # how many loop heads and loop ends were encoded so far
-        self.known_from = 0  # the position of the facts that are being gathered
-        self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
-        self.granted: set[Term] = set()  # ints that name robots where they are spoken of just now
-        self.folds: set[Term] = set()  # sums over all robots
-        self.texts: dict[str, Term] = {}  # literals
+        self.position = 0  # number of loop heads and loop ends that are encoded so far
+        self.known_from = 0  # position of the facts that are being gathered
+        self.absent: dict[tuple[object, ...], Term] = {}  # item -> that no robot has it
+        self.granted: set[Term] = set()  # ints that name robots within the current quantifier
+        self.folds: set[Term] = set()  # sums over all robots whose facts are added
+        self.texts: dict[str, Term] = {}  # string literals
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
-        self.label, self.line = "", 0  # of what is being encoded
+        self.label, self.line = "", 0  # label and line of the next facts
         if robots is None:
             self.fact(t.at_most(t.integer(1), self.size), "there is a robot", 0)
         if robots is not None and unrolled:
@@ -106,31 +109,34 @@ class Room:
     # Facts
 
     def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """A formula that holds in every model, from the position `known_from` on."""
+        """Add a formula that holds in every model, known from the position `known_from` on."""
         if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
             self.seen[formula] = self.known_from
-            found = Fact(label or self.label, formula, self.program.path, line or self.line, self.known_from)
+            found = LabelledFormula(label or self.label, formula, self.program.path, line or self.line, self.known_from)
             self.facts.append(found)
 
-    def given(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """A formula that holds where this place is reached: it is known from this position on."""
+    def fact_if_reached(self, formula: Term, label: str = "", line: int = 0) -> None:
+        """Add a formula that holds if this place is reached, known from this position on."""
         with self.known_at(self.position):
-            self.fact(t.implies(self.here(), formula), label, line)
+            self.fact(t.implies(self.reached(), formula), label, line)
 
-    def here(self) -> Term:
+    def reached(self) -> Term:
         """Return that this place is reached: its path is taken, and every operation before it has a value.
 
-        Without the second part a fact of this place could show that an operation before it has a value."""
+        Without the second condition, a fact of this place could prove that an operation before it has a value."""
         return t.all_of([*self.path, *[demand.term for demand in self.demands]])
 
     def demand(self, formula: Term, label: str, line: int) -> None:
-        """That an operation of this place has a value; without one the event is discarded."""
+        """Demand a condition under which an operation of this place has a value. Without a value the event is
+        discarded."""
         if formula is not t.TRUE:
-            self.demands.append(Fact(label, t.implies(t.all_of(self.path), formula), self.program.path, line))
+            self.demands.append(
+                LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.program.path, line)
+            )
 
     @contextmanager
     def known_at(self, position: int) -> Iterator[None]:
-        """The facts that are gathered now are known from this position of the event on."""
+        """Let the facts that are added within be known from this position of the event on."""
         kept, self.known_from = self.known_from, position
         try:
             yield
@@ -139,7 +145,7 @@ class Room:
 
     @contextmanager
     def outermost(self) -> Iterator[None]:
-        """Encode something that does not depend on the place that is being encoded."""
+        """Encode something that does not depend on the current place."""
         kept, self.path = self.path, ()
         try:
             yield
@@ -148,7 +154,7 @@ class Room:
 
     @contextmanager
     def under(self, *conditions: Term) -> Iterator[None]:
-        """The places that are reached where these hold, too."""
+        """Extend the path by conditions: the places within are reached only if these hold, too."""
         kept, self.path = self.path, (*self.path, *conditions)
         try:
             yield
@@ -157,8 +163,8 @@ class Room:
 
     @contextmanager
     def grant(self, robot: object) -> Iterator[None]:
-        """That an int names a robot is known for now."""
-        new = isinstance(robot, (Value, Apply, Op)) and robot not in self.granted
+        """Treat an int as the name of a robot within this block."""
+        new = isinstance(robot, (LiteralTerm, Apply, Op)) and robot not in self.granted
         if new:
             self.granted.add(robot)  # type: ignore[arg-type]
         try:
@@ -176,8 +182,8 @@ class Room:
             self.label, self.line = kept
 
     @contextmanager
-    def aside(self) -> Iterator[list[Fact]]:
-        """Keeps the demands that arise apart."""
+    def separate_demands(self) -> Iterator[list[LabelledFormula]]:
+        """Collect the demands that arise within in a list of their own."""
         kept, self.demands = self.demands, []
         try:
             yield self.demands
@@ -190,72 +196,72 @@ class Room:
     # Symbols
 
     def new(self, hint: str, sort: Sort) -> Term:
-        """A constant of which nothing is known."""
+        """Return a new constant, of which nothing is known."""
         self.fresh += 1
         return t.constant(f"{hint}@{self.fresh}", sort)
 
     def any(self, hint: str, type_: Type) -> Val:
-        """A value of a type of which nothing is known."""
+        """Return a new value of a type, of which nothing is known."""
         self.fresh += 1
         number = self.fresh
         return build(type_, iter([t.constant(f"{hint}{suffix}@{number}", sort) for suffix, sort in shape(type_)]))
 
     def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
-        """A value of a type that is a function of terms, and of nothing else."""
+        """Return a value of a type that is a function of terms, and of nothing else."""
         return self.applied(symbols(name, args, type_), args, type_)
 
-    def applied(self, functions: list[Function], args: tuple[Term, ...], type_: Type) -> Val:
+    def applied(self, functions: list[FunctionSymbol], args: tuple[Term, ...], type_: Type) -> Val:
         leaves = [t.apply(function, *args) for function in functions]
         if self.known:
             leaves = [self.known.get(leaf, leaf) for leaf in leaves]
         return build(type_, iter(leaves))
 
     def learn(self, formula: Term) -> None:
-        """What holds for certain of single variables is put in their place from now on."""
+        """Replace single variables, from now on, by the values that a formula gives them."""
         for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
             match part:
                 case Apply():
                     self.known[part] = t.TRUE
                 case Op("not", (Apply() as inner,)):
                     self.known[inner] = t.FALSE
-                case Op("=", (Apply() as inner, Value() as value)):
+                case Op("=", (Apply() as inner, LiteralTerm() as value)):
                     self.known[inner] = value
                 case _:
                     pass
 
     def version(self, value: Val) -> int:
-        """A number for a value that is held on to: another value, another number."""
+        """Return a number for a value, which the context keeps alive. Different values have different numbers."""
         return self.versions.setdefault(id(value), (len(self.versions), value))[0]
 
     # Robots
 
     def within(self, index: Term) -> Term:
-        """That a term names a robot."""
+        """Return that a term names a robot."""
         return t.and_(t.at_most(_ZERO, index), t.less(index, self.size))
 
     def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
-        """What is said of all robots is to be said of this one."""
+        """Instantiate universals over robots at this term."""
         if self.robots is None and index not in self.ignored and (known or index not in self.indices):
             if self.instantiating and self.passes > GENERATIONS:
-                return  # instances of instances of instances: there is no end to them
+                return  # instances would bring forth new instances without end
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None
 
     def element(self, place: Term, robots: bool, places: bool) -> None:
-        """What is said of all elements of a domain is to be said of the one at this place."""
+        """Instantiate universals over the elements of a domain at this place."""
         if robots:
             self.robot(place, witness=True)
         if places and not (self.instantiating and self.passes > GENERATIONS):
             self.places[place] = None
 
     def acting(self, name: str) -> Term:
-        """The robot that acts."""
+        """Introduce the acting robot."""
         self.own = self.some_robot(name)
         return self.own
 
     def another(self, name: str) -> Term:
-        """Any robot but the acting one, or an int that names none, where there is no other."""
+        """Return a term for any robot but the acting one; it names no robot if there is no other."""
         assert self.own is not None
         index = t.constant(name, t.INT)
         self.fact(t.not_(t.equals(index, self.own)), "another robot")
@@ -264,11 +270,11 @@ class Room:
         return index
 
     def same(self, robot: Term, own: Term) -> Term:
-        """Whether two robots are one."""
+        """Return whether a robot is the robot `own`."""
         return t.FALSE if own is self.own and robot in self.others else t.equals(robot, own)
 
     def some_robot(self, name: str) -> Term:
-        """A robot, any."""
+        """Return a term for any one robot."""
         index = t.constant(name, t.INT)
         self.fact(self.within(index), "a robot")
         self.robot(index, known=True)
@@ -277,14 +283,15 @@ class Room:
     def for_all(
         self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
     ) -> None:
-        """A fact of all ints; `instance` holds the domain's bounds."""
+        """Add a formula about all ints. `instance` includes the domain's bounds."""
         inner = inner or self.instantiating
         known_from = self.known_from
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
 
     def instantiate(self) -> None:
-        """Every formula for all robots at every term that names one; likewise for all places in lists. What arose from
-        an instance of another is not looked at for witnesses: pairs of robots would be too many."""
+        """Instantiate universals at every term that names a robot or a place, until nothing is new.
+
+        Inner universals are not instantiated at witnesses: there would be too many pairs of robots."""
         self.instantiating = True
         while True:
             self.passes += 1

@@ -1,4 +1,4 @@
-"""What the generator's obligations come to: which invariants are proved, and whether the assumptions are consistent."""
+"""Proofs straight from the generator: the proved invariants, and consistency of the assumptions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def checked(text: str) -> Program:
         return check_file(str(path)).program
 
 
-def told(program: Program, solver: Solver, robots: int | None = None) -> set[str]:
+def proved_names(program: Program, solver: Solver, robots: int | None = None) -> set[str]:
     """The names of what is proved, failing invariants dropped until none fails; "vacuous" where what is assumed cannot
     be true."""
     while True:
@@ -39,7 +39,7 @@ def told(program: Program, solver: Solver, robots: int | None = None) -> set[str
 def _asked(program: Program, solver: Solver, robots: int | None) -> list[tuple[Obligation, str]]:
     """As the command asks: with little told at first, and what fails so with what is told usually."""
     found: list[tuple[Obligation, str]] = [
-        (o, solver.ask(o).result) for o in generate.obligations(program, robots, told="little")
+        (o, solver.ask(o).result) for o in generate.obligations(program, robots, detail="little")
     ]
     if all(result == o.expected for o, result in found):
         return found

@@ -1,4 +1,4 @@
-"""What an UNKNOWN comes from, in the program's own terms, and what may help."""
+"""Causes of an UNKNOWN in terms of the program, and possible remedies."""
 
 from __future__ import annotations
 
@@ -8,63 +8,63 @@ from collections.abc import Iterator
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.ledger import LEMMAS
-from koordgen.verify.prove.report.spell import spelled
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.solve import Answer
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import SolverAnswer
 from koordgen.verify.prove.smt.term import NONLINEAR
 
-MOST = 3  # of what is named
+MAX_NAMED = 3  # most products, or notes, that a message names
 
 
-def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown: str) -> str:
-    """Which obligation, why, and the next step, in sentences. `unshown`: why a counterexample that the solver claims
-    cannot be shown."""
+def unknown_reason(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
+    """Return sentences that name the obligation, the cause and a next step. `unshown`: the reason why the
+    counterexample that the solver claims cannot be shown."""
     where = f"{obligation.name} ({obligation.file}:{obligation.line})"
     if answer.result == "unknown":
-        hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
+        hard = list(dict.fromkeys(_products(program, obligation)))[:MAX_NAMED]
         if not hard:
-            return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
+            return f"{where}: {answer.reason}{_many(obligation) if is_exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknowns: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
-        return f"{where}: {answer.reason}. What is hard in it: {terms}{helps}"
-    less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
-    known = f". The prover knows less than the program says: {'; '.join(less)}" if less else ""
+        return f"{where}: {answer.reason}. It is hard because of {terms}{helps}"
+    less = [note for note in obligation.notes if note not in LEMMAS][:MAX_NAMED]
+    known = f". The prover approximates: {'; '.join(less)}" if less else ""
     loops = any("of what the loop writes" in note for note in obligation.notes)
     say = "an invariant of the loop, an invariant" if loops else "an invariant"
-    return f"{where}: {unshown}{known}. Say more of it in {say}, a contract or an axiom"
+    return f"{where}: {unshown}{known}. Add facts to {say}, a contract or an axiom"
 
 
-def exhausted(answer: Answer) -> bool:
-    """Whether a solver had too little time or memory, rather than that it broke, or gave up."""
+def is_exhausted(answer: SolverAnswer) -> bool:
+    """Return whether a solver ran out of time or memory. False if it broke, or gave up."""
     return any(word in answer.reason for word in ("--timeout", "memory"))
 
 
 def _many(obligation: Obligation) -> str:
-    """What there is most of in an obligation."""
+    """Describe the size of a linear obligation, with its most frequent label."""
     (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
     if not count:
         return ""
-    return f". It is linear: what is hard in it is how much it is, {len(obligation.facts)} facts, {count} of `{label}`"
+    return f". The obligation is linear but large: {len(obligation.facts)} facts, {count} of them from `{label}`"
 
 
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
-    """The program's expressions that make an obligation non-linear, with their lines."""
-    facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
+    """Yield the program's expressions that make an obligation non-linear, with their lines."""
+    facts: list[LabelledFormula] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
     if not any(fact.term.traits & NONLINEAR for fact in facts):
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
-        within: set[ir.Expr] = set()  # of those that were named
+        within: set[ir.Expr] = set()  # parts of expressions that were yielded
         for node in walk(part):
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):
                     if node not in within:
-                        yield f"`{spelled(node)}` (line {node.span.line})"
+                        yield f"`{to_koord(node)}` (line {node.span.line})"
                     within.update(n for n in walk(node) if isinstance(n, ir.Binary))
     if any(fact.label == "distance of two points" and not fact.line for fact in facts):
-        yield "distances told by the squares of coordinates"
+        yield "distances by the squares of coordinates"
 
 
 def _literal(node: ir.Expr) -> bool:

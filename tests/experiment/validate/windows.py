@@ -1,4 +1,4 @@
-"""Runs' windows as a simulator writes them, made by hand."""
+"""Hand-made windows of runs, as a simulator writes them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from koordgen.experiment.validate.samples import FILE, FORMAT, Sample, read
+from koordgen.experiment.validate.samples import FILE, FORMAT, RunSample, read
 
 PLATFORMS = ("quad full", "car full")
 
@@ -31,7 +31,7 @@ def text(rows: Sequence[dict[str, Any]], ended: str = "completed", seed: int = 1
     return "".join(json.dumps(row) + "\n" for row in [head, *rows, {"end": ended}])
 
 
-def sample(folder: Path, rows: Sequence[dict[str, Any]], run: int = 0, **more: Any) -> Sample:
+def sample(folder: Path, rows: Sequence[dict[str, Any]], run: int = 0, **more: Any) -> RunSample:
     """Written and read."""
     (folder / FILE).write_text(text(rows, seed=run + 1, **more))
     found = read(folder, run)
@@ -39,6 +39,6 @@ def sample(folder: Path, rows: Sequence[dict[str, Any]], run: int = 0, **more: A
     return found
 
 
-def held(folder: Path, run: int = 0) -> Sample:
+def held(folder: Path, run: int = 0) -> RunSample:
     """Nothing happened to either robot in two windows."""
     return sample(folder, [window(r, pid, "h") for r in (1, 2) for pid in (0, 1)], run)

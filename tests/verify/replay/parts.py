@@ -1,4 +1,4 @@
-"""Fleets whose robots write their traces in parts, as robots on real computers do."""
+"""Fleets whose robots write their traces in parts, as on real computers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an audit has found of one property."""
+"""Result of an audit about one property: observations, violations and unknown rounds."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ WORST: tuple[Outcome, ...] = ("violated", "no value", "unknown", "held")
 BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
-class Moment(NamedTuple):
-    """Right after a round's events, or its end; round 0 is `init`. They are ordered."""
+class Observation(NamedTuple):
+    """Time of an observation: right after a round's events, or at its end; round 0 is `init`.
+
+    Times are ordered."""
 
     round: int
     end: bool
 
     def seconds(self, delta: float) -> float:
-        """Of fleet time since round 1 began; `init` counts as then."""
+        """Return the fleet time in seconds since round 1 began; 0 for `init`."""
         return max(0.0, (self.round - 1 + self.end) * delta)
 
 
-class Row(NamedTuple):
-    """A variable of a robot (empty: nobody's), at the moment before and at the one told of."""
+class ValueRow(NamedTuple):
+    """Value of a variable at the previous and at this observation.
+
+    `robot` is empty for an allwrite variable."""
 
     robot: str
     variable: str
@@ -34,21 +38,23 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Violation:
-    """`robots` are those that it was false for, `bound` and `read` what was looked at then, `why` the reason where it
-    had no value. `where`: which of a round's moments, in words."""
+class AuditViolation:
+    """First violation of a property.
 
-    moment: Moment
+    `robots`: those for which it was false; `bound` and `read`: the values that its formula used; `why`: the reason if
+    it had no value. `where`: the time within the round, in words."""
+
+    observation: Observation
     where: str
     robots: tuple[str, ...]
     bound: tuple[str, ...]
     read: tuple[str, ...]
     why: str
-    rows: tuple[Row, ...]
+    rows: tuple[ValueRow, ...]
 
 
-class Span(NamedTuple):
-    """Rounds `since` to `until`, both included, with one outcome."""
+class OutcomeSpan(NamedTuple):
+    """Rounds from `since` to `until`, both included, with one outcome."""
 
     since: int
     until: int
@@ -56,10 +62,13 @@ class Span(NamedTuple):
 
 
 @dataclass
-class Finding:
-    """`rounds` at which it was told, `unknown` at which not; of an assumption those of all robots together. `missing`:
-    what was not known, and why, with the number of rounds. `unchecked`: why it cannot be told at all. `unseen`: a robot
-    may have broken this assumption, because it was in the model and its ports are unknown."""
+class PropertyResult:
+    """Result of one property.
+
+    `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not; for an assumption, summed over
+    all robots. `missing`: unknown values with their cause, and the number of rounds. `unchecked`: the reason why it can
+    never be evaluated. `unseen`: a robot may have broken this assumption, because it was in the model while its ports
+    were unknown."""
 
     of: Of
     name: str
@@ -69,9 +78,9 @@ class Finding:
     rounds: int = 0
     unknown: int = 0
     violated: int = 0
-    first: Violation | None = None
+    first: AuditViolation | None = None
     missing: dict[str, int] = field(default_factory=dict)
-    spans: list[Span] = field(default_factory=list)
+    spans: list[OutcomeSpan] = field(default_factory=list)
 
     @property
     def title(self) -> str:
@@ -86,24 +95,24 @@ class Finding:
         return "held" if self.rounds and not self.unseen else "unknown"
 
     def miss(self, first: int, of_each: int) -> None:
-        """Count rounds before `first`, which no trace records; `of_each`: number of windows that judge a round."""
+        """Count rounds before `first`, which no trace records; `of_each`: number of evaluations in each round."""
         if self.unchecked:
             return
         self.unknown += first * of_each
         self.unseen = self.of == "assume"
         self.missing[f"rounds 0 to {first - 1}: no trace records them"] = first * of_each
-        self.spans.append(Span(0, first - 1, "unknown"))
+        self.spans.append(OutcomeSpan(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
-        """The outcome of a round; unknown where it was not looked at."""
+        """Return the outcome of a round; unknown if it was not evaluated."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
-    def close(self, round_: int, told: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
-        """A round is over; `told` are its moments, or its robots, with what was not known."""
-        if not told:
+    def close(self, round_: int, outcomes: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
+        """Add the outcomes of one round, by observation or by robot, with the unknown values."""
+        if not outcomes:
             return
-        worst = min(told, key=lambda each: WORST.index(each[0]))
-        for outcome, missing in told if of_each else [worst]:
+        worst = min(outcomes, key=lambda each: WORST.index(each[0]))
+        for outcome, missing in outcomes if of_each else [worst]:
             self.rounds += outcome != "unknown"
             self.unknown += outcome == "unknown"
             self.violated += outcome in ("violated", "no value")
@@ -112,4 +121,4 @@ class Finding:
         if self.spans and self.spans[-1].outcome == worst[0] and self.spans[-1].until == round_ - 1:
             self.spans[-1] = self.spans[-1]._replace(until=round_)
         else:
-            self.spans.append(Span(round_, round_, worst[0]))
+            self.spans.append(OutcomeSpan(round_, round_, worst[0]))

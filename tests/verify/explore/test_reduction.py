@@ -1,4 +1,4 @@
-"""What is forgotten because nobody reads it, and what must not be."""
+"""State-space reduction: variables that may be removed because nobody reads them, and those that may not."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_is_read_late_is_kept() -> None:
     assert made.forgetting is not None and made.forgetting.locals == ("wait",)
     assert result.violation is not None and result.violation.name == "Small"
     plain = explored(compiled(late), 2, forgetting=False)[1].violation
-    assert plain is not None and [m.event for m in result.violation.moments] == [m.event for m in plain.moments]
+    assert plain is not None and [m.event for m in result.violation.run_states] == [m.event for m in plain.run_states]
 
 
 def test_a_fault_in_an_event_that_is_left_out_is_found_by_a_run_of_fewest_rounds() -> None:
@@ -57,14 +57,14 @@ def test_a_fault_in_an_event_that_is_left_out_is_found_by_a_run_of_fewest_rounds
             assert found is not None and found.name == WELL_DEFINED and "Wait of robot 0" in found.reason
         plain = explored(compiled(fault), 2, forgetting=False)[1].violation
         made = explored(compiled(fault), 2)[1].violation
-        assert plain is not None and made is not None and len(plain.moments) == len(made.moments)
+        assert plain is not None and made is not None and len(plain.run_states) == len(made.run_states)
 
 
 def test_deadlocks_are_those_of_the_plain_search() -> None:
     stays = TURNS.replace("n[pid] == 2\n  eff: stop", "n[pid] == 2 and n[0] == 1\n  eff: stop")
     results = [explored(compiled(stays), 2, forgetting=forgetting)[1].violation for forgetting in (True, False)]
     assert all(found is not None and found.name == DEADLOCK for found in results)
-    assert len({found.moments[-1].round for found in results if found}) == 1
+    assert len({found.run_states[-1].round for found in results if found}) == 1
     turning = stays.replace("wait = wait - 1", "wait = 1 if wait == 2 else 2")  # for ever: no deadlock
     for forgetting in (True, False):
         assert explored(compiled(turning), 2, forgetting=forgetting)[1].violation is None

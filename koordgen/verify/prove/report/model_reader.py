@@ -1,6 +1,6 @@
-"""Which terms of an obligation make a counterexample, and how their values in a model are values of the program.
+"""Model reader: terms that the solver must evaluate, and the program's values for the results.
 
-What a list is, a model tells by the functions that say how long it is and what stands in it; only short ones are read.
+A model describes a list by the functions for its length and its elements. Only short lists are read.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from koordgen.verify.prove.smt.smtlib import Printer
 from koordgen.verify.prove.smt.term import (
     INT as INT_SORT,
 )
-from koordgen.verify.prove.smt.term import Apply, Function, Sort, Term, apply, at_most, boolean, integer, real
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, Sort, Term, apply, at_most, boolean, integer, real
 
-PATH = list_of(POINT)  # what a PathPlanner answers
-SHORT = 4  # elements of a list that is read from a model
+PATH = list_of(POINT)  # answer type of a PathPlanner
+SHORT = 4  # most elements of a list that is read from a model
 
 
 class Unshowable(Exception):
-    """What was found cannot be run: the message says why."""
+    """The counterexample cannot be run; the message gives the reason."""
 
 
-class Reader:
-    """Of one obligation: the terms to be asked for, and values made of the answers to them."""
+class ModelReader:
+    """Reader of models of one obligation: the terms to evaluate, and the program's values for the results."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.known = {f.name: f for f in _functions(obligation)}
@@ -66,7 +66,9 @@ class Reader:
         self.ask_for_answers()
 
     def ask_for_answers(self) -> None:
-        """Adds what callable ports answer: `Motion.planner@3` is the third unknown of an obligation."""
+        """Add the answers of callable ports to the terms to evaluate.
+
+        `Motion.planner@3` is an unknown of the obligation with the number 3."""
         for name, function in self.known.items():
             port, mark, number = name.partition("@")
             if mark and number.isdigit() and "." in port and not function.domain and function.result == Sort(str(PATH)):
@@ -76,11 +78,11 @@ class Reader:
                 self.answers.setdefault(port, []).append((int(number), term))
 
     def answered_by(self, port: str) -> list[Value]:
-        """What a callable port answers, in the order of the calls."""
+        """Return the answers of a callable port, in the order of the calls."""
         return [self.listed(PATH, term, port) for _, term in sorted(self.answers.get(port, []), key=lambda a: a[0])]
 
     def ask_for_list(self, type_: SequenceType, term: Term) -> None:
-        """Adds what tells a list's length and first elements."""
+        """Add the terms for a list's length and first elements."""
         for inner in self.parts_of(type_, term):
             self.terms[id(inner)] = inner
         length = self.length_of(type_, term)
@@ -92,7 +94,7 @@ class Reader:
         return apply(length, term) if length is not None else None
 
     def parts_of(self, type_: SequenceType, term: Term) -> Iterator[Term]:
-        """The length, then the leaves of the first elements, as far as the obligation speaks of them."""
+        """Yield the length, then the leaves of the first elements, if the obligation mentions them."""
         length = self.length_of(type_, term)
         if length is not None:
             yield length
@@ -106,14 +108,14 @@ class Reader:
         return list(self.terms.values())
 
     def short(self) -> list[Term]:
-        """That all lists are short enough to be read."""
+        """Return formulas that all lists are short enough to be read."""
         return [at_most(length, integer(SHORT)) for length in self.lengths.values()]
 
     def answered(self, values: Sequence[ModelValue]) -> None:
         self.of = {id(term): value for term, value in zip(self.wanted(), values, strict=True)}
 
     def value(self, type_: Type, terms: tuple[Term, ...], name: str) -> Value:
-        """Raises Unshowable where a value has no form in the program."""
+        """Return a value of the program. Raises Unshowable if the model's value has no form in the program."""
         return self.built(type_, iter(terms), name)
 
     def built(self, type_: Type, terms: Iterator[Term], name: str) -> Value:
@@ -140,7 +142,7 @@ class Reader:
             case SequenceType("List" | "Queue"):
                 return self.listed(type_, next(terms), name)
             case _:
-                raise Unshowable(f"of {name} only what is said of it is known, not which {type_} it is")
+                raise Unshowable(f"a model does not determine the value of {name}, a {type_}")
 
     def listed(self, type_: SequenceType, term: Term, name: str) -> Value:
         length = self.lengths.get(id(term))
@@ -148,7 +150,7 @@ class Reader:
             return ()
         count = self.of[id(length)]
         if not isinstance(count, int) or not 0 <= count <= SHORT:
-            raise Unshowable(f"{name} has {count} elements there, more than are read")
+            raise Unshowable(f"{name} has {count} elements, but at most {SHORT} are read")
         items = []
         for place in range(count):
             functions = [(self.known.get(f"{type_}.at{suffix}"), sort) for suffix, sort in shape(type_.element)]
@@ -173,25 +175,25 @@ class Reader:
 
 
 def _unknown(name: str) -> ModelValue:
-    raise Unshowable(f"of the elements of {name} the solver says nothing")
+    raise Unshowable(f"the model has no values for the elements of {name}")
 
 
 def _any_of(sort: Sort) -> Term:
-    """Where an obligation says nothing of a part, anything will do."""
+    """Return an arbitrary literal for a part that the obligation does not mention."""
     values = {"Int": integer(0), "Bool": boolean(False), "Real": real(0)}
     if sort.name not in values:
-        raise Unshowable(f"a {sort.name} cannot be made up")
+        raise Unshowable(f"a value of type {sort.name} cannot be made up")
     return values[sort.name]
 
 
-def _functions(obligation: Obligation) -> Iterator[Function]:
-    """The symbols of an obligation."""
+def _functions(obligation: Obligation) -> Iterator[FunctionSymbol]:
+    """Yield the symbols of an obligation."""
     terms = [f.term for f in obligation.facts] + ([obligation.goal.term] if obligation.goal is not None else [])
     yield from Printer(terms).functions.values()
 
 
 def _leaves(type_: Type) -> Iterator[Type]:
-    """The types of a value's leaves, collections whole."""
+    """Yield the types of a value's leaves; a collection is one leaf."""
     match type_:
         case RecordType(_, fields):
             for _, field in fields:
@@ -205,7 +207,9 @@ def _leaves(type_: Type) -> Iterator[Type]:
 
 
 def flat(value: Any) -> tuple[Term, ...]:
-    """The literals of a value's parts, in the order of a cell's terms; none where it has other parts than numbers."""
+    """Return the literals of a value's parts, in the order of a cell's terms.
+
+    Empty if a part is no number."""
     match value:
         case bool():
             return (boolean(value),)
@@ -219,13 +223,13 @@ def flat(value: Any) -> tuple[Term, ...]:
             return ()
 
 
-# What a program calls, as a model has it: the answers of callable ports. What the model does not tell stays untold.
+# Answers of a model to calls by the program. A result that the model does not determine makes the step unshowable.
 
 
-class Served:
-    """Answers the calls of one event in their order, and remembers them."""
+class ModelAnswers:
+    """Answers of a model to the calls of one event, in their order, with a record of the calls."""
 
-    def __init__(self, program: decl.Program, reader: Reader) -> None:
+    def __init__(self, program: decl.Program, reader: ModelReader) -> None:
         self.program = program
         self.reader = reader
         self.asked: list[Asked] = []
@@ -253,14 +257,14 @@ class Served:
         return known[place]
 
     def check(self, state: State, pid: int) -> None:
-        """Raises Unshowable where something was asked that the model does not tell, or was answered as it must not."""
+        """Raises Unshowable if the model has no answer to a call, or an answer that violates an assumption."""
         if self.missing:
-            raise Unshowable(f"what {self.missing[0]} yields is known only by what is said of it")
+            raise Unshowable(f"the result of {self.missing[0]} is known only by its contract and axioms")
         answered(self.program, state, pid, self.asked, self.world)
 
 
 def answered(program: decl.Program, state: State, pid: int, asked: Sequence[Asked], world: World) -> None:
-    """Raises Unshowable where an assumption about what callable ports answer does not hold of some calls."""
+    """Raises Unshowable if some calls violate an assumption about the answers of callable ports."""
     ports = state.robots[pid].ports
     count = len(state.robots)
     for module in program.modules:
@@ -271,5 +275,5 @@ def answered(program: decl.Program, state: State, pid: int, asked: Sequence[Aske
                 if holds_assumption(assumption, program, ports, ports, pid, count, state.params, world, asked):
                     continue
             except Discarded as error:
-                raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
-            raise Unshowable("an assumption about what a port answers does not hold in it")
+                raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
+            raise Unshowable("its step violates an assumption about a port's answers")

@@ -1,7 +1,7 @@
-"""Files of a fleet's traces, as much of them as can be read.
+"""Trace files of a fleet, of which as much as possible is read.
 
-A record that cannot be read is passed over, and stands in its place as one of kind LOST: from there on something about
-a robot is not known. Only a file that is no trace at all is refused.
+An unreadable record is replaced by a record of kind LOST: from there on the robot's state is partly unknown. Only a
+file that is no trace at all is an error.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import Any, BinaryIO
 from koordgen.runtime.trace.parts import base_of
 from koordgen.runtime.trace.schema import FORMAT, HEADER, MOST_ROBOTS, NO_HEADER, OLD_FORMAT, BadTrace, Upgrade
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
-from koordgen.verify.replay.trace import LONGEST, Line, header_of, parts_of
+from koordgen.verify.replay.trace import LONGEST, TraceLine, header_of, parts_of
 
 LOST = "lost"
-LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")
+KINDS_READ = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")
 
 
 @dataclass(frozen=True, slots=True)
-class Flaw:
-    """What is wrong at a line of a file; with `cut` the file ends there amid a record."""
+class TraceFlaw:
+    """A mistake at a line of a file; if `cut`, the file ends there within a record."""
 
     number: int
     what: str
@@ -32,10 +32,12 @@ class Flaw:
 
 
 @dataclass
-class Log:
-    """One file. `names` are the robots that its header says, by pid; `own`: it is one robot's. Lines have pid -1 where
-    it is not known whose they are. `family`: the same for all files that one robot wrote beside one another; `age`
-    orders those, the oldest first."""
+class TraceFile:
+    """One trace file.
+
+    `names`: the robots in its header by pid; `own`: it belongs to one robot. Lines have pid -1 if their robot is
+    unknown. `family`: the same for all files that one robot wrote in one folder; `age` orders these, the oldest
+    first."""
 
     path: Path
     app: str
@@ -46,20 +48,21 @@ class Log:
     own: bool
     family: tuple[Path, int]
     age: float
-    last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
-    step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
-    lines: list[Line] = field(default_factory=list)
+    last: dict[int, int] = field(default_factory=dict)  # pid -> round of its last record
+    step: bool = False  # the run executed a counterexample of one step, which begins in any state
+    lines: list[TraceLine] = field(default_factory=list)
     upgrade: Upgrade = field(default_factory=Upgrade)
-    flaws: list[Flaw] = field(default_factory=list)
+    flaws: list[TraceFlaw] = field(default_factory=list)
 
     @property
     def cut(self) -> bool:
         return any(flaw.cut for flaw in self.flaws)
 
 
-def found(given: Path) -> list[Path]:
-    """The traces that a name stands for: a file with the parts before it, the merged trace in a run's folder, or else
-    all traces below a folder. Raises BadTrace."""
+def trace_files(given: Path) -> list[Path]:
+    """Return the trace files that a name denotes. Raises BadTrace.
+
+    They are a file with its earlier parts, or the merged trace in a run's folder, or else all traces below a folder."""
     if not given.is_dir():
         return parts_of(given)
     merged = given / "trace.jsonl"
@@ -74,15 +77,15 @@ def found(given: Path) -> list[Path]:
 
 
 def _header(path: Path) -> Mapping[str, Any] | None:
-    """The header of a trace; None where there is none."""
+    """Return the header of a trace; None if there is none."""
     try:
         return header_of(path)
     except OSError as error:
         raise BadTrace(f"{path}: {error.strerror or error}") from None
 
 
-def opened(path: Path) -> Log:
-    """All of a file. Raises BadTrace where it is none."""
+def read_trace_file(path: Path) -> TraceFile:
+    """Read a whole file. Raises BadTrace if it is no trace."""
     header = _header(path)
     if header is None:
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -93,13 +96,13 @@ def opened(path: Path) -> Log:
     try:
         with path.open("rb") as file:
             for number, data in _lines(file):
-                _take(log, number, data)
+                _add_line(log, number, data)
     except OSError as error:
         raise BadTrace(f"{path}: {error.strerror or error}") from None
     return log
 
 
-def _log(path: Path, header: Mapping[str, Any]) -> Log:
+def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
     if "counterexample" in header or not header["program_hash"]:
         raise BadTrace(f"{path}: a counterexample, which no robot ran: `koordgen report` shows it")
     app, program_hash, delta = str(header["app"]), str(header["program_hash"]), float(header["delta"])
@@ -114,11 +117,13 @@ def _log(path: Path, header: Mapping[str, Any]) -> Log:
         raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
     base, part = base_of(path)
     family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
-    return Log(path, app, program_hash, delta, n_sys, names, own, family, age, step=header.get("followed") == "step")
+    return TraceFile(
+        path, app, program_hash, delta, n_sys, names, own, family, age, step=header.get("followed") == "step"
+    )
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Each line with its number; of one that is too long only the beginning, without its end."""
+    """Yield each line with its number. A line that is too long is cut, without its end."""
     number = 0
     while data := file.readline(LONGEST):
         number += 1
@@ -127,7 +132,7 @@ def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
             data = file.readline(LONGEST)
 
 
-def _take(log: Log, number: int, data: bytes) -> None:
+def _add_line(log: TraceFile, number: int, data: bytes) -> None:
     pid = next(iter(log.names)) if log.own else -1
     try:
         data = log.upgrade.line(data)
@@ -135,10 +140,10 @@ def _take(log: Log, number: int, data: bytes) -> None:
         raise BadTrace(f"{log.path}:{number}: {error}") from None
     record = _parsed(data)
     if record is None:
-        again = data.rfind(HEADER)  # a robot that was killed amid a record, and began anew
+        again = data.rfind(HEADER)  # a robot was killed within a record, and restarted
         if again > 0 and _parsed(data[again:]) is not None:
-            _lose(log, number, pid, "is cut off where the robot began anew")
-            _take(log, number, data[again:])
+            _lose(log, number, pid, "is cut off where the robot restarted")
+            _add_line(log, number, data[again:])
         elif len(data) >= LONGEST:
             _lose(log, number, pid, f"is longer than {LONGEST >> 20} MB")
         elif not data.endswith(b"\n"):
@@ -149,7 +154,7 @@ def _take(log: Log, number: int, data: bytes) -> None:
     if not log.own and isinstance(record.get("pid"), int) and 0 <= record["pid"] < log.n_sys:
         pid = record["pid"]
     kind = record.get("kind")
-    if kind not in LOOKED_AT:
+    if kind not in KINDS_READ:
         return
     try:
         record = sound(record, data)
@@ -163,12 +168,12 @@ def _take(log: Log, number: int, data: bytes) -> None:
     else:
         if kind == "round":
             log.last[pid] = record["round"]
-        log.lines.append(Line(number, pid, record))
+        log.lines.append(TraceLine(number, pid, record))
 
 
-def _lose(log: Log, number: int, pid: int, what: str, cut: bool = False) -> None:
-    log.flaws.append(Flaw(number, what, cut))
-    log.lines.append(Line(number, pid, {"kind": LOST}))
+def _lose(log: TraceFile, number: int, pid: int, what: str, cut: bool = False) -> None:
+    log.flaws.append(TraceFlaw(number, what, cut))
+    log.lines.append(TraceLine(number, pid, {"kind": LOST}))
 
 
 def _parsed(data: bytes) -> dict[str, Any] | None:

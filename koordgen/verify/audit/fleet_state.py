@@ -1,7 +1,7 @@
-"""The whole fleet's state, round by round, as far as the robots' traces tell it.
+"""State of the whole fleet, round by round, as far as the robots' traces contain it.
 
-A round has two moments at which sensors were sampled: right after its events (sensors as at its start), and its end
-(sensors as at the next one's start). What lies between, nobody sampled.
+A round has two observations: right after its events (with the sensors of its start), and at its end (with the sensors
+of the next round's start). Between these no sensor was sampled.
 """
 
 from __future__ import annotations
@@ -11,38 +11,42 @@ from typing import Any
 
 from koordgen.runtime.program.program import Calls
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.verify.audit.meaning import Meaning
-from koordgen.verify.audit.story import Mission, Story
-from koordgen.verify.replay.store import Writes, had_frame
+from koordgen.verify.audit.history import FleetMission, RobotHistory
+from koordgen.verify.audit.properties import GeneratedProperties
+from koordgen.verify.replay.store import RecordedWrites, had_frame
 
 
-class Whole:
-    """`values` by name, as generated properties take them: of a local variable, a port and an allread variable a list
-    by pid, of an allwrite variable its value; UNKNOWN where nobody told. `round` is the last one that was applied: at
-    first the one before the mission's `first`."""
+class FleetState:
+    """State of the fleet.
 
-    def __init__(self, meaning: Meaning, mission: Mission) -> None:
-        stories = mission.stories
+    `values` by name, as generated properties read them: a list by pid for a local variable, a port and an allread
+    variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last round that was
+    applied; initially the one before the mission's `first`."""
+
+    def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
+        histories = mission.histories
         self.round = mission.first - 1
         self.values: dict[str, Any] = {}
-        self._meaning, self._stories = meaning, stories
+        self._meaning, self._stories = meaning, histories
         self._clears = meaning.found.program.clears
         program = meaning.program
         ports = [(f"{m.name}.{p.name}", p.direction) for m in program.modules for p in m.ports]
         self.sensors = [name for name, direction in ports if direction == "sensor"]
         self._actuators = [name for name, direction in ports if direction == "actuator"]
         self._locals = [v.name for v in program.locals]
-        self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, out of the model or not
-        self._shared = _Shared(meaning, stories, mission.first)
+        self._own: list[dict[str, Any]] = [{} for _ in histories]  # locals and actuators, in the model or not
+        self._shared = _Shared(meaning, histories, mission.first)
         if mission.first:
             names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
-            self.values = {name: [UNKNOWN] * len(stories) for name in names}
+            self.values = {name: [UNKNOWN] * len(histories) for name in names}
             self.values |= {v.name: UNKNOWN for v in program.shared if v.kind == "allwrite"}
         else:
             self._begin()
 
     def _begin(self) -> None:
-        """Before `init`: first values, actuators unset; a target that nobody wrote is where its robot is."""
+        """Set the values before `init`: initial values, actuators unset.
+
+        An unset target is the robot's position."""
         found, n = self._meaning.found.program, len(self._stories)
         for variable in (*found.locals, *found.shared):
             first = variable.initial()
@@ -53,10 +57,10 @@ class Whole:
             self.values[port.name] = self.values.get(port.held, [value] * n)
 
     def advance(self) -> None:
-        """To right after the next round's events; round 0 is `init`."""
+        """Go on to right after the next round's events; round 0 is `init`."""
         self.round += 1
-        for pid, story in enumerate(self._stories):
-            self._act(pid, story)
+        for pid, history in enumerate(self._stories):
+            self._act(pid, history)
         for name in self._locals:
             self.values[name] = [own.get(name, UNKNOWN) for own in self._own]
         self._sample(self.round)
@@ -64,40 +68,40 @@ class Whole:
             self._clear(pid)
         for name in self._actuators:
             self.values[name] = [
-                UNKNOWN if story.out_at(self.round) else own.get(name, UNKNOWN)
-                for own, story in zip(self._own, self._stories, strict=True)
+                UNKNOWN if history.out_at(self.round) else own.get(name, UNKNOWN)
+                for own, history in zip(self._own, self._stories, strict=True)
             ]
         self.values.update(self._shared.after(self.round))
 
     def end(self) -> None:
-        """To the end of this round."""
+        """Go on to the end of this round."""
         self._sample(self.round + 1)
 
     def sampled(self, pid: int, round_: int) -> dict[str, Any]:
-        """A robot's sensors as at a round's start; UNKNOWN while it is out of the model."""
-        story = self._stories[pid]
+        """Return a robot's sensors at a round's start; UNKNOWN while it is outside of the model."""
+        history = self._stories[pid]
         told = self.record(pid, round_).get("sensors", {})
-        if story.out_at(round_):
+        if history.out_at(round_):
             told = {}
         return {name: self._meaning.value(name, told.get(name, UNKNOWN)) for name in self.sensors}
 
     def record(self, pid: int, round_: int) -> Mapping[str, Any]:
-        story = self._stories[pid]
+        history = self._stories[pid]
         if round_ == 0:
-            return story.init or {}
-        return story.rounds[round_].record if round_ in story.rounds else {}
+            return history.init or {}
+        return history.rounds[round_].record if round_ in history.rounds else {}
 
     def calls(self, pid: int) -> Calls | None:
-        """The robot's calls of callable ports in this round; None where a value in them is not known."""
+        """Return the robot's calls of callable ports in this round; None if a value in them is unknown."""
         told = self.record(pid, self.round).get("calls", [])
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
 
-    def _act(self, pid: int, story: Story) -> None:
+    def _act(self, pid: int, history: RobotHistory) -> None:
         own, record = self._own[pid], self.record(pid, self.round)
-        if self.round in story.turns:
+        if self.round in history.turns:
             own.clear()
-            self._take(own, story.turns[self.round] or {})
+            self._take(own, history.turns[self.round] or {})
         self._take(own, record.get("restored") or {})
         self._take(own, record)
 
@@ -106,7 +110,7 @@ class Whole:
             own.update(self._meaning.values(told.get(group, {})))
 
     def _clear(self, pid: int) -> None:
-        """A sensor that a command has cleared is false until the robot says otherwise."""
+        """Set the sensors that the robot's commands clear to false, until its next sample."""
         for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
             for sensor in self._clears.get(name, ()):
                 if self.values[sensor][pid] is not UNKNOWN:
@@ -119,32 +123,31 @@ class Whole:
 
 
 class _Shared:
-    """The shared store after each round: what any robot saw of it at the next one's start, else what all told that they
-    wrote."""
+    """Shared store after each round: as a robot saw it in the next round, else by recorded writes."""
 
-    def __init__(self, meaning: Meaning, stories: list[Story], first: int) -> None:
-        self._meaning, self._stories = meaning, stories
-        self._writes = Writes(meaning.program, len(stories))
-        for story in stories:
-            for record in [story.init or {}, *[line.record for line in story.rounds.values()]]:
-                self._writes.hear(story.pid, record)
+    def __init__(self, meaning: GeneratedProperties, histories: list[RobotHistory], first: int) -> None:
+        self._meaning, self._stories = meaning, histories
+        self._writes = RecordedWrites(meaning.program, len(histories))
+        for history in histories:
+            for record in [history.init or {}, *[line.record for line in history.rounds.values()]]:
+                self._writes.add_record(history.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
-        self._copies: list[dict[str, Any]] = [{} for _ in stories]  # of an allread variable by pid
-        self._told: dict[str, Any] = {}  # as `_store`, in JSON
+        self._copies: list[dict[str, Any]] = [{} for _ in histories]  # allread variables by pid
+        self._told: dict[str, Any] = {}  # the part of `_store` that is in `_values`, in JSON
         self._values: dict[str, Any] = {}
-        if first:  # then nobody tells what was there before
-            for story in stories:
-                self._lose(story.pid)
-                self._see(story, first)
+        if first:  # the store before the first record is unknown
+            for history in histories:
+                self._lose(history.pid)
+                self._see(history, first)
 
     def after(self, round_: int) -> dict[str, Any]:
-        """Call it for each round in turn, from the first."""
+        """Return the store after a round. Call it for each round in turn, from the first."""
         self._store = dict(self._writes.after(self._store, round_))
-        for story in self._stories:
-            if story.may_act(round_):
-                self._lose(story.pid)
-        for story in self._stories:
-            self._see(story, round_ + 1)
+        for history in self._stories:
+            if history.may_act(round_):
+                self._lose(history.pid)
+        for history in self._stories:
+            self._see(history, round_ + 1)
         for name, told in self._store.items():
             if name not in self._told or self._told[name] != told:
                 slots = name in self._writes.slots
@@ -154,19 +157,19 @@ class _Shared:
         return self._values
 
     def _lose(self, pid: int) -> None:
-        """What this robot may have written in a round of which it told nothing."""
+        """Make unknown what this robot may have written in a round without a record."""
         for name, held in self._store.items():
             if name in self._writes.slots:
                 self._store[name] = [UNKNOWN if p == pid else own for p, own in enumerate(held)]
             else:
                 self._store[name] = UNKNOWN
 
-    def _see(self, story: Story, round_: int) -> None:
-        """What a robot saw at the start of a round is the store, whole."""
-        copy = self._copies[story.pid]
-        if story.turns.get(round_, copy) is None:
+    def _see(self, history: RobotHistory, round_: int) -> None:
+        """Take the store over as a robot saw it at the start of a round."""
+        copy = self._copies[history.pid]
+        if history.turns.get(round_, copy) is None:
             copy.clear()
-        line = story.rounds.get(round_)
+        line = history.rounds.get(round_)
         if line is None or not had_frame(line.record):
             return
         told = line.record.get("copy", {})
@@ -185,4 +188,4 @@ class _Shared:
                 self._store[name] = copy[name]
         for name, own in line.record.get("shared", {}).items():
             if name in self._writes.slots:
-                copy.setdefault(name, {})[story.pid] = own
+                copy.setdefault(name, {})[history.pid] = own

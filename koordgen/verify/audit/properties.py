@@ -1,5 +1,7 @@
-"""A program's properties as generated code has them, the very text that simulators and robots run, and a trace's values
-as that code wants them."""
+"""Generated properties of a program, and conversion of trace values for them.
+
+Simulators and robots run the same generated text.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,15 @@ from koordgen.runtime.program.property import UNKNOWN, Properties
 from koordgen.runtime.values.points import Point
 from koordgen.verify.prove.report.table import shown
 from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
-from koordgen.verify.replay.values import BadValue, taken
+from koordgen.verify.replay.values import BadValue, from_trace
 
-ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # what a planner is asked with: a goal, and obstacles as cells
+ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # arguments of a planner: a goal, and obstacles as grid cells
 
 
-class Meaning:
-    """`types` by the names of variables and ports. Runs the user's file of extern functions. Raises CannotCall."""
+class GeneratedProperties:
+    """Generated properties of one program.
+
+    `types`: types of variables and ports by name. Loads the user's file of extern functions. Raises CannotCall."""
 
     def __init__(self, program: decl.Program, functions: Path | None) -> None:
         self.program = program
@@ -38,7 +42,7 @@ class Meaning:
                 missing = functions or f"{functions_module(program)}.py"
                 raise CannotCall(f"{missing}, which has the extern functions, is not there")
             load(program, functions)
-        module = sys.modules["audited"] = ModuleType("audited")  # where annotations of records are looked up
+        module = sys.modules["audited"] = ModuleType("audited")  # annotations of records are resolved in it
         self._scope: dict[str, Any] = vars(module)
         self._scope["__file__"] = "program.py"
         exec(compile(program_text(program), "program.py", "exec"), self._scope)
@@ -53,20 +57,21 @@ class Meaning:
                 raise CannotCall(str(error)) from None
 
     def value(self, name: str, data: Any) -> Any:
-        """What a trace has for a variable or port; UNKNOWN where it is not told, or not exactly: null stands for
-        whatever is not finite, and what is none of the type is told by nobody."""
+        """Convert the value of a variable or port from a trace.
+
+        UNKNOWN if it is missing, not exact (null stands for every number that is not finite) or not of the type."""
         return UNKNOWN if data is UNKNOWN else self._of(data, self.types[name]) if name in self.types else UNKNOWN
 
     def values(self, group: Mapping[str, Any]) -> dict[str, Any]:
         return {name: self.value(name, data) for name, data in group.items()}
 
     def call(self, port: str, args: list[Any], answer: Any) -> tuple[str, tuple[Any, ...], Any]:
-        """One call of a callable port."""
+        """Convert one call of a callable port."""
         given = tuple([self._of(arg, type_) for arg, type_ in zip(args, ASKED, strict=False)])
         return port, given, self.value(port, answer)
 
     def text(self, name: str, value: Any) -> str:
-        """A value as a program writes it, numbers to six digits."""
+        """Return a value as Koord text, with numbers rounded to six digits."""
         if value is UNKNOWN:
             return "unknown"
         type_ = self.types.get(name)
@@ -76,7 +81,7 @@ class Meaning:
         try:
             if _hidden(data):
                 return UNKNOWN
-            return python_value(taken(data, type_), type_, self._scope, self._names)
+            return python_value(from_trace(data, type_), type_, self._scope, self._names)
         except (BadValue, RecursionError, OverflowError):
             return UNKNOWN
 
@@ -99,7 +104,7 @@ def _hidden(data: Any) -> bool:
 
 
 def _short(value: Any) -> Any:
-    """Floats to six digits."""
+    """Round the floats in a value to six digits."""
     match value:
         case float():
             return float(f"{value:.6g}")

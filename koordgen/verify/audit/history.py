@@ -1,4 +1,4 @@
-"""What each robot of a fleet told of one mission, round by round, and where nobody knows what it did."""
+"""History of each robot in one mission, round by round, with the gaps in which its state is unknown."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 from koordgen.runtime.program.runner import LEFT
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import LOST, Log
-from koordgen.verify.replay.trace import Line
+from koordgen.verify.audit.trace_files import LOST, TraceFile
+from koordgen.verify.replay.trace import TraceLine
 
 FOREVER = 1 << 60
-# As an agent says it when its rounds begin.
+# Format of an agent's phase record when its rounds begin.
 _MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
-    """Rounds `since` to before `until` of which a robot told nothing, and why."""
+    """Rounds from `since` to before `until` without a record of a robot, and the cause."""
 
     since: int
     until: int
@@ -31,14 +31,14 @@ def _why(gaps: Sequence[Gap], round_: int) -> str | None:
 
 
 @dataclass
-class Life:
-    """One start of a robot's process: what it told, in the order in which it did."""
+class ProcessLife:
+    """One start of a robot's process, with its records in their order."""
 
-    log: Log
+    log: TraceFile
     pid: int
     mission: str = ""
     start: float | None = None  # fleet time of round 1, s
-    lines: list[Line] = field(default_factory=list)
+    lines: list[TraceLine] = field(default_factory=list)
 
     @property
     def continues(self) -> bool:
@@ -47,84 +47,85 @@ class Life:
 
     @property
     def tells(self) -> bool:
-        """Return whether the trace has a record of this round."""
+        """Return whether it has a record of any round."""
         return any(line.record["kind"] == "round" for line in self.lines)
 
 
 @dataclass
-class Story:
-    """One robot in the mission. `lives` is empty where there is no trace of it. `turns`: at the start of a round its
-    own variables become these (with `locals` and `actuators`), or nobody knows them (None). `acts`: rounds in which it
-    may have written what it told nobody. `out`: rounds in which it had come to rest; `away`: in which the others had
-    counted it out: in both it is out of the model. `lacks`: parts of its trace are missing; `since`: then the first
-    round that is known."""
+class RobotHistory:
+    """One robot in the mission.
+
+    `lives`: empty if there is no trace of it. `turns`: at the start of a round its own variables get these values (with
+    `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may have written values without a
+    record. `out`: rounds in which it had stopped; `away`: in which the others had removed it; in both it is outside of
+    the model. `lacks`: parts of its trace are missing; then `since` is the first round that is known."""
 
     pid: int
     name: str
-    lives: list[Life] = field(default_factory=list)
+    lives: list[ProcessLife] = field(default_factory=list)
     lacks: bool = False
     since: int = 0
     init: Mapping[str, Any] | None = None
-    rounds: dict[int, Line] = field(default_factory=dict)
+    rounds: dict[int, TraceLine] = field(default_factory=dict)
     turns: dict[int, Mapping[str, Any] | None] = field(default_factory=dict)
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
     away: list[Gap] = field(default_factory=list)
-    quiet: list[Gap] = field(default_factory=list)  # of which another life, or a broken line, is the reason
+    quiet: list[Gap] = field(default_factory=list)  # gaps that another life, or a broken line, causes
     monitors: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
     def last(self) -> int:
-        """The last round that it told of; -1 of none."""
+        """Return the last round with a record; 0 for `init` only, -1 for none."""
         return max(self.rounds, default=0 if self.init is not None else -1)
 
     def may_act(self, round_: int) -> bool:
-        """Whether it may have written in a round, as far as it told; what others do not count is no writing."""
+        """Return whether it may have written in a round without a record, and the others accept its writes."""
         return _why(self.acts, round_) is not None and _why(self.away, round_) is None
 
     def out_at(self, round_: int) -> str:
-        """Why the robot is out of the model in a round; empty while it is in it."""
+        """Return why the robot is outside of the model in a round; empty while it is in the model."""
         return _why(self.out, round_) or _why(self.away, round_) or ""
 
     def silent(self, round_: int) -> str:
-        """Why its own part of a round is not known, in words."""
+        """Return in words why the robot's part of a round is unknown."""
         if not self.lives:
             return f"there is no trace of {self.name}"
         if self.out_at(round_):
             return f"{self.name} had left the model ({self.out_at(round_)})"
         why = _why(self.acts, round_) or _why(self.quiet, round_)
         if why or round_ not in self.rounds:
-            return f"{self.name} told nothing" + (f": {why}" if why else "")
-        return f"{self.name}'s trace does not say it"
+            return f"{self.name} recorded nothing" + (f": {why}" if why else "")
+        return f"{self.name}'s trace does not contain it"
 
 
 @dataclass
-class Mission:
-    """All of it. `notes` are for the user."""
+class FleetMission:
+    """One mission of a fleet, from all trace files. `notes` are for the user."""
 
     name: str
     app: str
     delta: float
     start: float | None
-    stories: list[Story]
+    histories: list[RobotHistory]
     notes: list[str]
     cut: bool
-    log: Log  # of the version of the program that all others are of
-    step: bool = False  # as of a Log
+    log: TraceFile  # one of the files; all are of the same program
+    step: bool = False  # the run executed a counterexample of one step
 
     @property
     def first(self) -> int:
-        """First round that a trace records. 0: everything is recorded, from `init` on."""
-        return min((story.since for story in self.stories if story.lives), default=0)
+        """Return the first round that a trace records. 0: everything is recorded, from `init` on."""
+        return min((history.since for history in self.histories if history.lives), default=0)
 
     @property
     def last(self) -> int:
-        """The last round to look at: then the last robot had left the model, or said nothing more."""
-        return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.stories), default=0)
+        """Return the last round to evaluate: the last one in which a robot in the model has a record."""
+        return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.histories), default=0)
 
 
-def mission(logs: Sequence[Log]) -> Mission:
-    """The one mission that the files tell of. Raises BadTrace."""
+def mission(logs: Sequence[TraceFile]) -> FleetMission:
+    """Return the only mission in the files. Raises BadTrace."""
     logs, old = _of_one_version(_by_age(logs))
     _same(logs)
     lives = _joined([life for log in logs for life in _lives(log)])
@@ -135,56 +136,55 @@ def mission(logs: Sequence[Log]) -> Mission:
                 other = next(each.path for each in logs if each.names.get(pid) == names[pid])
                 raise BadTrace(f"{log.path}: robot {pid} is {name}; in {other} it is {names[pid]}")
     chosen = _chosen(lives)
-    notes = [f"{log.path} is of an earlier version of the program, and is left aside" for log in old]
+    notes = [f"{log.path} is of an earlier version of the program, and is ignored" for log in old]
     notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
     left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
-    notes += [
-        f"{path}: {names[pid]}'s part in mission {mission_} is left aside" for (pid, mission_), path in left.items()
-    ]
-    stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
+    notes += [f"{path}: {names[pid]}'s part in mission {mission_} is ignored" for (pid, mission_), path in left.items()]
+    histories = [RobotHistory(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
         if life.mission in (chosen, ""):
-            stories[life.pid].lives.append(life)
-    for story in stories:
-        _tell(story)
-    _views(stories)
+            histories[life.pid].lives.append(life)
+    for history in histories:
+        _build_rounds(history)
+    _views(histories)
     notes[:0] = [
-        f"{story.name}'s trace is known from round {story.since} on: the older parts are not there (a robot deletes "
+        f"{history.name}'s trace begins in round {history.since}: the older parts are missing (a robot deletes "
         "them when its trace reaches trace_limit)"
-        for story in stories
-        if story.since
+        for history in histories
+        if history.since
     ]
-    missing = [story.name for story in stories if not story.lives]
+    missing = [history.name for history in histories if not history.lives]
     if missing:
         notes.insert(0, f"there is no trace of {', '.join(missing)}")
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
-    cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
+    cut = any(log.flaws for log in logs) or bool(missing) or any(history.lacks for history in histories)
     start, log = starts[0] if starts else None, logs[0]
-    return Mission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
+    return FleetMission(chosen, log.app, log.delta, start, histories, notes, cut, log, log.step)
 
 
-def _by_age(logs: Sequence[Log]) -> list[Log]:
+def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
     """Return the files of each robot together, the oldest first."""
     order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
     return sorted(logs, key=lambda log: (order[log.family], log.age))
 
 
-def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
-    """Return the files of the program that each robot ran last, and those that earlier starts of another one left."""
+def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[TraceFile]]:
+    """Return the files of the program that each robot ran last, and those of earlier programs."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
-    kept: list[Log] = []
-    old: list[Log] = []
+    kept: list[TraceFile] = []
+    old: list[TraceFile] = []
     for log in logs:
         (kept if (log.program_hash, log.n_sys) == newest[log.family] else old).append(log)
     return kept, old
 
 
-def _joined(lives: Sequence[Life]) -> list[Life]:
-    """Give each part the mission that a later part of the same start names. Records of a robot that started anew before
-    its first round belong to no mission and are left out."""
-    joined: list[Life] = []
-    later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
+def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
+    """Give each part the mission that a later part of the same start names.
+
+    Records of a robot that restarted before its first round belong to no mission and are left out."""
+    joined: list[ProcessLife] = []
+    later: dict[tuple[Path, int, int], ProcessLife] = {}  # the next life in the same files
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
         if follower is not None and follower.continues and not life.mission:
@@ -195,8 +195,8 @@ def _joined(lives: Sequence[Life]) -> list[Life]:
     return joined[::-1]
 
 
-def _same(logs: Sequence[Log]) -> None:
-    """All are of one program and one fleet."""
+def _same(logs: Sequence[TraceFile]) -> None:
+    """Check that all files are of one program and one fleet. Raises BadTrace."""
     first = logs[0]
     for log in logs[1:]:
         for what, mine, its in (
@@ -206,12 +206,12 @@ def _same(logs: Sequence[Log]) -> None:
             ("delta", first.delta, log.delta),
         ):
             if mine != its:
-                raise BadTrace(f"{first.path} and {log.path} are of another {what}: {mine} and {its}")
+                raise BadTrace(f"{first.path} and {log.path} differ in the {what}: {mine} and {its}")
 
 
-def _lives(log: Log) -> Iterator[Life]:
-    """Each robot's lives, in their order; a life without any round, `init` or mission tells nothing."""
-    current: dict[int, Life] = {}
+def _lives(log: TraceFile) -> Iterator[ProcessLife]:
+    """Yield each robot's lives, in their order. A life may lack any round, `init` and mission."""
+    current: dict[int, ProcessLife] = {}
     for line in log.lines:
         record = line.record
         kind = record["kind"]
@@ -221,7 +221,7 @@ def _lives(log: Log) -> Iterator[Life]:
             if life is None or (begins and any(each.record["kind"] not in ("header", "phase") for each in life.lines)):
                 if life is not None:
                     yield life
-                life = current[pid] = Life(log, pid)
+                life = current[pid] = ProcessLife(log, pid)
             life.lines.append(line)
             told = _MISSION.match(record.get("detail", "")) if kind == "phase" else None
             if told:
@@ -229,10 +229,11 @@ def _lives(log: Log) -> Iterator[Life]:
     yield from current.values()
 
 
-def _chosen(lives: Sequence[Life]) -> str:
-    """The mission that all files have a part in; the files that one robot wrote beside one another count as one. Raises
-    BadTrace where there is none."""
-    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, and the last file that names it
+def _chosen(lives: Sequence[ProcessLife]) -> str:
+    """Return the mission that all files have a part in.
+
+    Files that one robot wrote in one folder count as one. Raises BadTrace if there is none."""
+    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, with the last file that names it
     for life in lives:
         if life.mission:
             named.setdefault(life.log.family, {})[life.mission] = life.log.path
@@ -247,17 +248,17 @@ def _chosen(lives: Sequence[Life]) -> str:
     raise BadTrace(f"{path} and {other} are of different missions of the fleet: {mine} and {its}")
 
 
-def _tell(story: Story) -> None:
-    """From a robot's lives to its rounds. Raises BadTrace."""
-    story.lives.sort(key=_order)
-    teller = _Teller(story)
-    for life in story.lives:
+def _build_rounds(history: RobotHistory) -> None:
+    """Build a robot's rounds from its lives. Raises BadTrace."""
+    history.lives.sort(key=_order)
+    teller = _HistoryBuilder(history)
+    for life in history.lives:
         teller.live(life)
     teller.end()
 
 
-def _order(life: Life) -> tuple[int, int]:
-    """Lives of one file stand in their order, those of several files in the order of their rounds."""
+def _order(life: ProcessLife) -> tuple[int, int]:
+    """Order lives of one file as they stand in it, those of several files by their rounds."""
     first = FOREVER
     for line in life.lines:
         if line.record["kind"] in ("init", "round"):
@@ -267,31 +268,31 @@ def _order(life: Life) -> tuple[int, int]:
     return first, life.lines[0].number
 
 
-class _Teller:
-    """Goes through one robot's lives."""
+class _HistoryBuilder:
+    """Builder of one robot's history from its lives."""
 
-    def __init__(self, story: Story) -> None:
-        self.story = story
-        self.previous = -1  # the last round told of; 0: `init`
-        self.doubt = ""  # why there may be something after it that was not told
-        self.came_back = False  # the doubt is about another life, or its trace is not there
-        self.resting, self.rested = False, 0.0  # in the present life, and since when
-        self.times: list[tuple[float, int]] = []  # of its rounds
-        self.left = FOREVER  # its first round in which it had left the mission
-        self.whose: dict[int, Path] = {}  # round -> the file that told of it
+    def __init__(self, history: RobotHistory) -> None:
+        self.history = history
+        self.previous = -1  # last round with a record; 0: `init`
+        self.doubt = ""  # why there may be rounds after it without a record
+        self.came_back = False  # the doubt is due to another life, or to a missing trace
+        self.resting, self.rested = False, 0.0  # whether it stopped in the present life, and when
+        self.times: list[tuple[float, int]] = []  # time and number of its rounds
+        self.left = FOREVER  # first round in which it had left the mission
+        self.whose: dict[int, Path] = {}  # round -> file that records it
 
-    def live(self, life: Life) -> None:
-        story = self.story
+    def live(self, life: ProcessLife) -> None:
+        history = self.history
         if not life.continues:
             self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
-            if life is not story.lives[0]:
+            if life is not history.lives[0]:
                 self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
         for line in life.lines:
             record = line.record
             match record["kind"]:
                 case "init":
                     self.own(life, 0)
-                    story.init, self.previous, self.doubt, self.came_back = record, 0, "", False
+                    history.init, self.previous, self.doubt, self.came_back = record, 0, "", False
                 case "checkpoint":
                     self.checkpoint(record)
                 case "round":
@@ -300,74 +301,78 @@ class _Teller:
                         self.times.append((_time(record), record["round"]))
                         self.round(life, line)
                 case "monitor":
-                    story.monitors.append(record)
+                    history.monitors.append(record)
                 case "phase" if record["phase"] == "resting" and not self.resting:
                     self.rested, self.resting = _time(record), True
-                    story.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
+                    history.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
                 case kind if kind == LOST:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
         if self.resting:
             since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
-            story.out[-1] = story.out[-1]._replace(since=min(since + 1, self.left))
-        elif self.left < FOREVER:  # where it said so cannot be read
+            history.out[-1] = history.out[-1]._replace(since=min(since + 1, self.left))
+        elif self.left < FOREVER:  # the record of its stop cannot be read
             self.resting = True
-            story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
+            history.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Another part begins: what is not told before it is unknown, and the robot's own variables are known again."""
-        story, round_ = self.story, record["round"]
+        """Begin another part of the trace. Unrecorded rounds before it are unknown."""
+        history, round_ = self.history, record["round"]
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
-            story.turns[round_ + 1] = record.get("own")
-            story.lacks = True
+            history.turns[round_ + 1] = record.get("own")
+            history.lacks = True
             if self.previous < 0:
-                story.since = round_ + 1
+                history.since = round_ + 1
             self.previous = round_
         self.doubt, self.came_back = "", False
 
-    def own(self, life: Life, round_: int) -> bool:
-        """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
+    def own(self, life: ProcessLife, round_: int) -> bool:
+        """Return whether a round is recorded for the first time.
+
+        Raises BadTrace if another file records it, too."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"
-            raise BadTrace(f"{before} and {life.log.path} are both of robot {self.story.name}, and both tell of {what}")
-        return round_ not in self.story.rounds
+            raise BadTrace(
+                f"{before} and {life.log.path} are both of robot {self.history.name}, and both record {what}"
+            )
+        return round_ not in self.history.rounds
 
-    def round(self, life: Life, line: Line) -> None:
-        story, round_ = self.story, line.record["round"]
+    def round(self, life: ProcessLife, line: TraceLine) -> None:
+        history, round_ = self.history, line.record["round"]
         if self.previous < 0 and not self.doubt:
-            self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
+            self.doubt, self.came_back, history.lacks = f"{life.log.path} begins there", True, True
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
-        if story.out and story.out[-1].until == FOREVER and not self.resting:  # of an earlier life
-            story.out[-1] = story.out[-1]._replace(until=round_)
-        story.rounds[round_] = line
+        if history.out and history.out[-1].until == FOREVER and not self.resting:  # of an earlier life
+            history.out[-1] = history.out[-1]._replace(until=round_)
+        history.rounds[round_] = line
         self.previous = max(self.previous, round_)
 
-    def join(self, life: Life, gap: Gap) -> None:
-        """What is not told before a record, and what a robot that came back went on with."""
-        self.story.quiet.append(gap)
+    def join(self, life: ProcessLife, gap: Gap) -> None:
+        """Add the gap before a record, and the state with which a robot that restarted went on."""
+        self.history.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
-        if self.previous < 0 and self.story.lacks:
-            self.story.since = gap.until if restored is None else max(0, restored["round"])
+        if self.previous < 0 and self.history.lacks:
+            self.history.since = gap.until if restored is None else max(0, restored["round"])
         if restored is None:
             if self.came_back or gap.until > gap.since:
                 self.lose(gap)
         elif restored["round"] >= gap.since:
             self.lose(gap._replace(until=restored["round"] + 1))
-            self.story.turns[restored["round"]] = restored
+            self.history.turns[restored["round"]] = restored
 
     def lose(self, gap: Gap) -> None:
-        self.story.acts.append(gap)
-        self.story.turns[gap.since] = None
+        self.history.acts.append(gap)
+        self.history.turns[gap.since] = None
 
     def end(self) -> None:
-        """Whether the robot may have gone on after the last that it told of."""
-        lives = self.story.lives
+        """Add the rounds after the last record, if the robot may have continued."""
+        lives = self.history.lives
         if not lives:
             self.lose(Gap(0, FOREVER, "there is no trace of it"))
         elif self.doubt or not self.resting:
@@ -379,21 +384,21 @@ def _time(record: Mapping[str, Any]) -> float:
     return float(record.get("time", record.get("t", 0.0)))
 
 
-def _views(stories: Sequence[Story]) -> None:
-    """Who was counted out, from which round to which."""
+def _views(histories: Sequence[RobotHistory]) -> None:
+    """Add the rounds in which a robot was removed by the others."""
     views = {
         line.record["number"]: line.record
-        for story in stories
-        for life in story.lives
+        for history in histories
+        for life in history.lives
         for line in life.lines
-        if line.record["kind"] == "view" and len(line.record["members"]) == len(stories)
+        if line.record["kind"] == "view" and len(line.record["members"]) == len(histories)
     }
     since: dict[int, int] = {}
     for _, view in sorted(views.items()):
-        for story, member in zip(stories, view["members"], strict=True):
+        for history, member in zip(histories, view["members"], strict=True):
             if member < 0:
-                since.setdefault(story.pid, view["since"])
-            elif story.pid in since:
-                story.away.append(Gap(since.pop(story.pid), view["since"], "the others had counted it out"))
+                since.setdefault(history.pid, view["since"])
+            elif history.pid in since:
+                history.away.append(Gap(since.pop(history.pid), view["since"], "the others had counted it out"))
     for pid, first in since.items():
-        stories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))
+        histories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))

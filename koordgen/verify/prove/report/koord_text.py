@@ -1,4 +1,4 @@
-"""Formulas as a program writes them: what is told to users and proposed to them is Koord."""
+"""Formulas as Koord text, for messages and suggestions to users."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _LOOSE, _NOT, _COMPARE, _UNARY, _ATOM = 0, 3, 4, 7, 9
 MOST_DIGITS = 9
 
 
-def spelled(node: ir.Expr) -> str:
-    """An expression in Koord, with no bracket too many."""
+def to_koord(node: ir.Expr) -> str:
+    """Return an expression in Koord, without superfluous brackets."""
     return _text(node)[0]
 
 
@@ -26,7 +26,7 @@ def _in(node: ir.Expr, least: int) -> str:
 
 
 def _text(node: ir.Expr) -> tuple[str, int]:
-    """The text, and how tightly its loosest operator binds."""
+    """Return the text of an expression, and the precedence of its loosest operator."""
     match node:
         case ir.Widen(operand):
             return _text(operand)
@@ -62,7 +62,7 @@ def _conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _chained(parts: list[ir.Expr]) -> list[str]:
-    """The texts of conjuncts; `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
+    """Return the texts of conjuncts. `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
     found: list[str] = []
     last: ir.Expr | None = None
     for part in parts:
@@ -94,13 +94,13 @@ def _atom(
         ):  # fmt: skip
             return name
         case ir.SlotRead(name, index) | ir.LocalOf(name, index):
-            return f"{name}[{spelled(index)}]"
+            return f"{name}[{to_koord(index)}]"
         case ir.PortRead(module, port, primed):
             return f"{module}.{port}{_prime(primed)}"
         case ir.PortOf(module, port, robot):
-            return f"{module}.{port}[{spelled(robot)}]"
+            return f"{module}.{port}[{to_koord(robot)}]"
         case ir.Range(start, stop, step):
-            return f"range({', '.join([spelled(start), spelled(stop), *([str(step)] if step != 1 else [])])})"
+            return f"range({', '.join([to_koord(start), to_koord(stop), *([str(step)] if step != 1 else [])])})"
         case ir.Make(items, type_):
             return _made(items, type_)
         case ir.Field(operand, name):
@@ -108,12 +108,12 @@ def _atom(
         case ir.Item(operand, index):
             return f"{_in(operand, _ATOM)}[{index}]"
         case ir.At(operand, index):
-            return f"{_in(operand, _ATOM)}[{spelled(index)}]"
+            return f"{_in(operand, _ATOM)}[{to_koord(index)}]"
         case ir.Slice(operand, start, stop):
-            bounds = ":".join("" if bound is None else spelled(bound) for bound in (start, stop))
+            bounds = ":".join("" if bound is None else to_koord(bound) for bound in (start, stop))
             return f"{_in(operand, _ATOM)}[{bounds}]"
         case ir.With(operand, name, value):
-            return f"{_in(operand, _ATOM)} with {name} = {spelled(value)}"
+            return f"{_in(operand, _ATOM)} with {name} = {to_koord(value)}"
         case ir.Builtin(name, args) | ir.Call(name, args) | ir.ExternCall(name, args):
             return f"{name}({_list(args)})"
         case ir.PortCall(module, port, args):
@@ -135,7 +135,7 @@ def _made(items: tuple[ir.Expr, ...], type_: Type) -> str:
 
 
 def _list(items: Iterable[ir.Expr]) -> str:
-    return ", ".join([spelled(item) for item in items])
+    return ", ".join([to_koord(item) for item in items])
 
 
 def _prime(primed: bool) -> str:
@@ -143,7 +143,9 @@ def _prime(primed: bool) -> str:
 
 
 def number(value: Fraction | int) -> str:
-    """A number exactly, where that can be read: digits that end, or a small fraction; otherwise rounded, with `~`."""
+    """Return a number exactly if that is readable: digits that end, or a small fraction.
+
+    Else rounded, after `~`."""
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)
