@@ -78,7 +78,7 @@ def _trace(path: Path, limit: float | None) -> Finding:
         return Finding("trace", "warn", f"{told}, no limit", why="the trace will fill the disk: set `trace_limit`")
     told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
     if free < limit - used:
-        why = "the disk is full before the trace is: make room, or set a lower `trace_limit`"
+        why = "the disk will be full before the trace reaches its limit: free disk space, or set a lower `trace_limit`"
         return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
     return Finding("trace", "ok", told)
 
