@@ -1,4 +1,4 @@
-"""The passes in order, read as a table of contents: text -> syntax tree -> typed IR -> IR of this build -> bundles."""
+"""Compiler pipeline: text -> syntax tree -> typed IR -> IR with the params of this build -> bundles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as tree
 from koordgen.lang.syntax.parse import parse
 
-if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib alone takes a tenth of its time
+if TYPE_CHECKING:  # `check` needs none of these; functions import them late, since pathlib alone takes 10 % of its time
     from pathlib import Path
 
     from koordgen.build.bundle.plan import Files
@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib
 
 
 class Rejected(Exception):
-    """The user's files are wrong: the diagnostics say where and why, each with the source it points into."""
+    """Raised for errors in the user's files. `found`: each diagnostic with the source that its span points into."""
 
     def __init__(self, found: Collection[tuple[Source, Diagnostic]]) -> None:
         super().__init__("the user's files are wrong")
@@ -36,7 +36,7 @@ class Rejected(Exception):
 
 
 class Checked(Node):
-    """A program that passed, and what was noticed on the way (warnings and notes)."""
+    """A program without errors, with the warnings and notes of its check."""
 
     source: Source
     program: Program
@@ -44,7 +44,7 @@ class Checked(Node):
 
 
 def read_source(path: str) -> Source:
-    """The text of a user's file. Raises Rejected when it cannot be read or is no UTF-8."""
+    """Read the text of a user's file. Raises Rejected if the file cannot be read or is not UTF-8."""
     start = Span(1, 1, 1, 1)
     try:
         with open(path, "rb") as file:
@@ -59,7 +59,7 @@ def read_source(path: str) -> Source:
 
 
 def parse_file(path: str) -> tuple[Source, tree.Program]:
-    """parse. Raises Rejected."""
+    """Read and parse a program. Raises Rejected."""
     source = read_source(path)
     parsed, found = parse(source)
     if found:
@@ -68,7 +68,10 @@ def parse_file(path: str) -> tuple[Source, tree.Program]:
 
 
 def check_file(path: str) -> Checked:
-    """parse, check, verify; what could be read of a text is checked, whatever else is wrong. Raises Rejected."""
+    """Parse, check and verify a program. Raises Rejected.
+
+    After syntax errors, the sections that could be parsed are checked as well, so one run reports both kinds of errors.
+    """
     source = read_source(path)
     parsed, unread = parse(source)
     program, found = check(parsed, source)
@@ -79,7 +82,7 @@ def check_file(path: str) -> Checked:
 
 
 def dump(path: str, after: str) -> str:
-    """The program as it stands after a pass, for people: "parse" or "check". Raises Rejected."""
+    """Return the program after a pass ("parse" or "check") as readable text. Raises Rejected."""
     if after == "parse":
         from koordgen.lang.syntax.printer import show as show_tree
 
@@ -96,14 +99,19 @@ def plan_file(
     params: Mapping[str, Value],
     functions: str | None = None,
 ) -> tuple[Checked, dict[str, Files]]:
-    """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
-    are names of targets that exist; None, which needs a fleet, stands for the targets of its robots. `functions` is the
-    file of the extern functions, if not the usual one. Raises Rejected, BadParam, ManifestError."""
+    """Plan the bundles of one build, in memory.
+
+    Steps: check, fleet file, params, verify, ports, sizes of datagrams, the user's Python files, plan.
+
+    `wanted`: names of existing targets. None, which needs a fleet file, means the targets of the fleet's robots.
+    `functions`: the file of the extern functions, if it is not `<app>_functions.py` beside the program.
+    Raises Rejected, BadParam, ManifestError.
+    """
     from pathlib import Path
 
-    from koordgen.build.bundle.calls import check_calls, planner_budget
-    from koordgen.build.bundle.offer import check_ports
     from koordgen.build.bundle.plan import plan, read_ingredients
+    from koordgen.build.bundle.port_calls import check_calls, planner_budget
+    from koordgen.build.bundle.ports import check_ports
     from koordgen.fleet import manifest
     from koordgen.lang import resources
     from koordgen.lang.analyze.params import with_params
@@ -140,7 +148,7 @@ def plan_file(
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
-    """What such a fleet cannot send (errors), or not at once (warnings)."""
+    """Check sizes of datagrams: errors if the fleet cannot send its shared variables, warnings if only in fragments."""
     from koordgen.build.bundle.budget import check_budget, check_link
 
     robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
@@ -155,7 +163,7 @@ def _beside(
     targets: tuple[Target, ...],
     functions: str | None,
 ) -> tuple[dict[str, Path], list[Diagnostic]]:
-    """The user's own Python that goes into bundles, by its path there, and what is wrong with it."""
+    """Return the user's Python files by their paths in a bundle, and diagnostics about these files."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import check_functions, functions_file
@@ -175,7 +183,7 @@ def _beside(
 
 
 def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Path]:
-    """The files of classes that settings of robots name, by their path in bundles."""
+    """Return the files of the user's classes that robots' settings name, by their paths in a bundle."""
     from pathlib import Path
 
     from koordgen.build.bundle.drivers import find
@@ -188,8 +196,11 @@ def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str,
 def read_fleet(
     path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = ""
 ) -> tuple[Fleet, dict[str, Value]]:
-    """The fleet and its params as values; without a program nothing is known of those. Beside the fleet file and the
-    program stand the classes that settings name. Raises Rejected."""
+    """Read a fleet file. Return the fleet and its params as values. Raises Rejected.
+
+    Without a `program`, params are not checked against their declarations. Classes that settings name are looked up in
+    the folder of the fleet file, then in that of the program.
+    """
     from koordgen.fleet import file as fleet
     from koordgen.fleet.offered import Known
 
@@ -208,7 +219,7 @@ def read_fleet(
 
 
 def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
-    """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
+    """Return the params of a fleet file; empty if `path` is None. Raises Rejected, ManifestError."""
     if path is None:
         return {}
     from koordgen.fleet import manifest
@@ -245,7 +256,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
         there = f"; there are: {', '.join(places)}" if places else ""
         return f"marker_list.variable is {name!r}: the program has no shared list of that name {field}{there}"
 
-    @cache  # all robots name the same class, mostly, and it takes a process to look at one
+    @cache  # most robots name the same class, and each inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         return own_class(Driver(module, name), methods, program, folders)
 

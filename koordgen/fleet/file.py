@@ -52,7 +52,7 @@ class Fleet(Node):
     params: dict[str, Any]
     safety: dict[str, Any]
     monitors: dict[str, str]  # what robots do when a property is violated, by its name
-    planner_budget: float | None  # seconds that a planner may take within an event; None: see bundle/calls.py
+    planner_budget: float | None  # seconds that a planner may take within an event; None: see bundle/port_calls.py
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]

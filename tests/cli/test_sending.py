@@ -40,7 +40,7 @@ def test_a_round_that_the_link_does_not_carry(
     link = "link: {rate: 3e6, loss: 0.2}\n" + network
     assert built(tmp_path, PATHS.format(1000), link) == 1
     told = capsys.readouterr().err
-    assert f"{tmp_path}/a.koord:1:22: error[B008]: a round may put " in told
+    assert f"{tmp_path}/a.koord:1:22: error[B008]: a round may send " in told
     assert f" bytes on the link: 5 robots{receivers} x (" in told
     assert "B009" not in told and not (tmp_path / "out").exists()
     (most,) = map(int, re.findall(r"it fits with a delta of .*`max (\d+)`", told))

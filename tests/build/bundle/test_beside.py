@@ -78,11 +78,14 @@ def test_the_program_of_a_driver_that_fits_no_port_is_refused(tmp_path: Path) ->
     with pytest.raises(Rejected) as rejected:
         plan_file(str(tmp_path / "hvac.koord"), ["car"], str(tmp_path / "fleet.yaml"), {})
     ((_, found),) = rejected.value.found
-    assert (found.code, found.message) == ("B005", "HVAC.temp is of type bool in the driver Hvac, not float")
+    assert (found.code, found.message) == (
+        "B005",
+        "HVAC.temp has type bool in the driver Hvac, but float in the program",
+    )
 
 
 def test_streams_are_everyones() -> None:
-    from koordgen.build.bundle.offer import check_ports
+    from koordgen.build.bundle.ports import check_ports
 
     program = checked('using Log:\n  stream stdout\nE:\n  pre: True\n  eff: Log.stdout << "a"\n')
     assert check_ports(program, [manifest.load("car")]) == []

@@ -73,18 +73,18 @@ def test_packets_of_a_datagram() -> None:
 
 def test_the_arithmetic_of_a_round() -> None:
     program = writing(400)
-    word = overhead(5) + 38 + 5 + 403 + 5 + 28 + 66
+    entry = overhead(5) + 38 + 5 + 403 + 5 + 28 + 66
     acknowledgement = overhead(5) + 66
-    assert round_bytes(program, 5, CALM) == 5 * 4 * (word + acknowledgement)
-    assert round_bytes(program, 5, CALM, to_all=True) == 5 * (word + acknowledgement)
+    assert round_bytes(program, 5, CALM) == 5 * 4 * (entry + acknowledgement)
+    assert round_bytes(program, 5, CALM, to_all=True) == 5 * (entry + acknowledgement)
     assert round_bytes(program, 5, Link(loss=0.5)) == 2 * round_bytes(program, 5, CALM)
     (found,) = check_link(program, 5, 0.02, Link(6e6, 0.1, 1500))
     total = round_bytes(program, 5, Link())
     assert (found.code, found.severity, found.span.line) == ("B008", "error", 2)
     assert found.message == (
-        f"a round may put {total} bytes on the link: 5 robots x 4 receivers x ({word} for 479 of writes in one "
-        f"datagram + {acknowledgement} of acknowledgement) / (1 - 0.1 lost); a round of 0.02 s at 6e+06 bit/s carries "
-        "15000"
+        f"a round may send {total} bytes: 5 robots x 4 receivers x ({entry} for 479 of writes in one datagram + "
+        f"{acknowledgement} for the acknowledgement) / (1 - 0.1 loss); a round of 0.02 s at 6e+06 bit/s carries "
+        "15000 bytes"
     )
 
 
@@ -144,7 +144,7 @@ def test_rates_are_told_in_digits(delta: float) -> None:
 def test_a_entry_in_fragments_is_told() -> None:
     (found,) = check_link(writing(3000), 2, 0.1, Link())
     assert (found.code, found.severity) == ("B009", "warning")
-    assert "up to 3079 bytes and go in 5 datagrams" in found.message
+    assert "up to 3079 bytes and need 5 datagrams" in found.message
     (most,) = re.findall(r"`max (\d+)`", found.help)
     assert check_link(writing(int(most)), 2, 0.1, Link()) == []
     assert check_link(writing(int(most) + 1), 2, 0.1, Link()) != []

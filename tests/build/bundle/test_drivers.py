@@ -46,16 +46,16 @@ def test_a_right_driver(tmp_path: Path) -> None:
     ("old", "new", "line", "message"),
     [
         ("class Hvac", "class Havc", 1, "drivers/hvac.py has no class Hvac"),
-        ('"temp": "float"', '"tmp": "float"', 3, "the driver Hvac offers no sensor temp for HVAC"),
-        ('"temp": "float"', '"temp": "int"', 3, "HVAC.temp is of type int in the driver Hvac, not float"),
-        ('"heat": "bool"', "", 5, "the driver Hvac offers no actuator heat for HVAC"),
-        ('{"heat": "bool"}', "3", 1, "Hvac.actuators is no dict of port names to types"),
+        ('"temp": "float"', '"tmp": "float"', 3, "the driver Hvac of HVAC has no sensor temp"),
+        ('"temp": "float"', '"temp": "int"', 3, "HVAC.temp has type int in the driver Hvac, but float in the program"),
+        ('"heat": "bool"', "", 5, "the driver Hvac of HVAC has no actuator heat"),
+        ('{"heat": "bool"}', "3", 1, "Hvac.actuators must be a dict from names of ports to Koord types"),
         ("def sense(self)", "def look(self)", 1, "the class Hvac in drivers/hvac.py has no method sense"),
         (
             "def sense",
             "def __init__(self, pin): pass\n    def sense",
             1,
-            "Hvac in drivers/hvac.py cannot be made without",
+            "the class Hvac in drivers/hvac.py cannot be constructed without",
         ),
         ("class", "import no_such\nclass", 1, "drivers/hvac.py cannot be imported: ModuleNotFoundError"),
         ("class", "import sys\nsys.exit('no')\nclass", 1, "drivers/hvac.py cannot be imported: SystemExit: no"),
@@ -68,7 +68,7 @@ def test_what_is_wrong_is_told(tmp_path: Path, old: str, new: str, line: int, me
 
 def test_no_file(tmp_path: Path) -> None:
     ((line, message),) = told(tmp_path, None)
-    assert line == 1 and message.endswith("drivers/hvac.py, which has the driver of HVAC, is not there")
+    assert line == 1 and message.endswith("drivers/hvac.py, which should have the driver of HVAC")
 
 
 def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out.py").write_text(RIGHT)
     (tmp_path / "in/own.py").symlink_to(tmp_path / "out.py")
     ((_, message),) = told(tmp_path / "in", None, Driver("own", "Hvac"))
-    assert message.endswith("own.py leads out of its folder")
+    assert message.endswith("own.py is a link to a file outside of its folder")
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
 )
 def test_a_file_of_the_bundle_is_never_replaced(tmp_path: Path, module: str) -> None:
     ((_, message),) = told(tmp_path, None, Driver(module, "Hvac"))
-    assert message.startswith("a driver's file cannot be called")
+    assert message.startswith("a driver's file cannot have the name")
 
 
 def test_a_module_of_the_target_has_no_driver() -> None:
@@ -93,4 +93,4 @@ def test_a_module_of_the_target_has_no_driver() -> None:
     )
     drivers = {"Motion": Driver("own", "Own")}
     (found,) = check_drivers(program, drivers, driver_files(drivers, program, [Path(".")]), (manifest.load("car"),))
-    assert found.message == "Motion is served by target car itself"
+    assert found.message == "Motion is a module of target car and can have no driver"

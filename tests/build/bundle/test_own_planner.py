@@ -73,15 +73,15 @@ def test_its_file_goes_into_the_bundle_and_its_process_finds_it(tmp_path: Path) 
     ("planner", "text", "said"),
     [
         ("routes.mine:Yours", MINE, "routes/mine.py has no class Yours"),
-        ("routes.yours:Mine", MINE, "routes/yours.py, which should have the class Mine, is not there"),
+        ("routes.yours:Mine", MINE, "routes/yours.py, which should have the class Mine"),
         ("routes.mine:Mine", MINE.replace("def plan", "def route"), "Mine in routes/mine.py has no method plan"),
         (
             "routes.mine:Mine",
             MINE.replace("self, world", "self"),
-            "Mine in routes/mine.py cannot be made with one argument",
+            "the class Mine in routes/mine.py cannot be constructed with one argument",
         ),
         ("routes.mine:Mine", "import nothing_there", "routes/mine.py cannot be imported: ModuleNotFoundError"),
-        ("koordgen.mine:Mine", MINE, "every bundle has one of that name"),
+        ("koordgen.mine:Mine", MINE, "every bundle has a file with this name"),
         ("dijkstra", MINE, "planner is 'dijkstra'"),
     ],
 )

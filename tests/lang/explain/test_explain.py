@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from koordgen.build.bundle.budget import check_budget, check_link
-from koordgen.build.bundle.calls import check_calls
 from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.build.bundle.functions import check_functions, functions_file
-from koordgen.build.bundle.offer import check_ports
+from koordgen.build.bundle.port_calls import check_calls
+from koordgen.build.bundle.ports import check_ports
 from koordgen.build.pipeline import Rejected, read_source
 from koordgen.cli import main
 from koordgen.fleet import file as fleet
