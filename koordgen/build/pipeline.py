@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # `check` needs none of these; functions import them late, si
     from koordgen.build.bundle.plan import Files
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
-    from koordgen.fleet.offered import Driver, Known
+    from koordgen.fleet.settings import DriverClass, NameChecks
     from koordgen.lang.analyze.params import Value
 
 
@@ -51,10 +51,12 @@ def read_source(path: str) -> Source:
             raw = file.read()
         return Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
-        problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
+        problem = Diagnostic("F100", "error", f"the file cannot be read: {error.strerror or error}", start)
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
+        problem = Diagnostic(
+            "F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2), help="save the file as UTF-8"
+        )
     raise Rejected([(Source(path, ""), problem)])
 
 
@@ -159,7 +161,7 @@ def _beside(
     program: Program,
     path: str,
     fleet_path: str | None,
-    drivers: Mapping[str, Driver],
+    drivers: Mapping[str, DriverClass],
     targets: tuple[Target, ...],
     functions: str | None,
 ) -> tuple[dict[str, Path], list[Diagnostic]]:
@@ -202,7 +204,7 @@ def read_fleet(
     the folder of the fleet file, then in that of the program.
     """
     from koordgen.fleet import file as fleet
-    from koordgen.fleet.offered import Known
+    from koordgen.fleet.settings import NameChecks
 
     source = read_source(path)
     found: list[tuple[Source, Diagnostic]] = []
@@ -211,7 +213,7 @@ def read_fleet(
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
     params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
-    known = _known(program, path, program_path or path) if program is not None else Known()
+    known = _known(program, path, program_path or path) if program is not None else NameChecks()
     read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
@@ -228,12 +230,12 @@ def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[
     return read_fleet(path, targets, checked.program, program_path)[1]
 
 
-def _known(program: Program, fleet_path: str, program_path: str) -> Known:
+def _known(program: Program, fleet_path: str, program_path: str) -> NameChecks:
     from functools import cache
     from pathlib import Path
 
     from koordgen.build.bundle.drivers import own_class
-    from koordgen.fleet.offered import Driver, Known
+    from koordgen.fleet.settings import DriverClass, NameChecks
 
     folders = [Path(fleet_path).parent, Path(program_path).parent]
 
@@ -241,10 +243,8 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
         known = [s.name for s in program.shared if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
         if name in known:
             return ""
-        there = f"; there are: {', '.join(known)}" if known else ""
-        return (
-            f"avoid is {name!r}: the program has no allread variable of that name that is a Point or List<Point>{there}"
-        )
+        possible = f"; possible values: {', '.join(known)}" if known else ""
+        return f"avoid is {name!r}: the program has no allread variable {name} of type Point or List<Point>{possible}"
 
     def unmarked(name: str, position: str) -> str:
         found = next((s.type for s in program.shared if s.name == name), None)
@@ -252,13 +252,13 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
         places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
         if position in places or (element == POINT and not position):
             return ""
-        field = f"whose elements have a Point in {position!r}" if position else "of Points"
-        there = f"; there are: {', '.join(places)}" if places else ""
-        return f"marker_list.variable is {name!r}: the program has no shared list of that name {field}{there}"
+        field = f"whose elements have a Point {position!r}" if position else "of Points"
+        possible = f"; possible positions: {', '.join(places)}" if places else ""
+        return f"marker_list.variable is {name!r}: the program has no shared list {name} {field}{possible}"
 
     @cache  # most robots name the same class, and each inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
-        return own_class(Driver(module, name), methods, program, folders)
+        return own_class(DriverClass(module, name), methods, program, folders)
 
     own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
@@ -266,7 +266,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]
     if any(isinstance(node, LoopInvariant) for node in walk((program.init, program.events, program.functions))):
         own.append("loop invariants")
-    return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
+    return NameChecks(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

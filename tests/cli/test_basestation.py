@@ -229,7 +229,7 @@ def test_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_mistakes_of_the_fleet_file_have_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, FLEET + "mocap: {up: x}\n")
     assert main(["basestation", str(path), "--system", "vicon", "--host", "h"]) == 1
-    assert "fleet.yaml:10:13: error[F005]: mocap.up is 'x'" in capsys.readouterr().err
+    assert "fleet.yaml:10:13: error[F005]: mocap.up cannot be 'x'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "fast"])

@@ -19,7 +19,7 @@ from koordgen.lang.ir.types import ExternType, MapOf, PerRobot, RecordType, Scal
 from koordgen.lang.node import Node, replace
 
 if TYPE_CHECKING:
-    from koordgen.fleet.medium import Link
+    from koordgen.fleet.medium import Medium
 
 # Equal to those of koordgen/runtime/net/layout.py, bounds.py and wire.py (tests compare them). Bytes of MessagePack's
 # longest forms.
@@ -145,7 +145,7 @@ class Traffic(Node):
         return ceil(once / (1 - self.loss))
 
 
-def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -> Traffic:
+def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool) -> Traffic:
     """Return the traffic of a round in which each robot writes these variables.
 
     `to_all`: one datagram reaches all other robots (broadcast, multicast).
@@ -163,13 +163,13 @@ def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -
     return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, entry, alone, link.loss)
 
 
-def round_bytes(program: Program, robots: int, link: Link, to_all: bool = False) -> int:
+def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = False) -> int:
     """Return the most bytes that the fleet sends in one round, headers of packets included."""
     return traffic(_longest(program), robots, link, to_all).bytes
 
 
 def check_link(
-    program: Program, robots: int, delta: float, link: Link | None, to_all: bool = False
+    program: Program, robots: int, delta: float, link: Medium | None, to_all: bool = False
 ) -> list[Diagnostic]:
     """Check the traffic of one round against the `link` of the fleet file; None if the fleet file has none.
 
@@ -214,7 +214,7 @@ def _arithmetic(found: Traffic) -> str:
     )
 
 
-def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Link) -> str:
+def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Medium) -> str:
     """Return the help of B008: the least delta, the least rate, and the greatest capacity of the largest variable."""
     bits = found.bytes * 8
     ways = [f"a delta of {_up(bits / link.rate)} s"] if bits / link.rate <= LONGEST_DELTA else []

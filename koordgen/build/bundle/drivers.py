@@ -11,14 +11,14 @@ from typing import Any
 
 from koordgen.build.emit.program import functions_module
 from koordgen.fleet.manifest import Target
-from koordgen.fleet.offered import Driver
+from koordgen.fleet.settings import DriverClass
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir.decl import Module, Port, Program
 
 _OURS = ("koordgen", "targets", "program", "__main__")  # names of our own modules and packages in every bundle
 
 
-def driver_files(drivers: Mapping[str, Driver], program: Program, folders: list[Path]) -> dict[str, Path]:
+def driver_files(drivers: Mapping[str, DriverClass], program: Program, folders: list[Path]) -> dict[str, Path]:
     """Return the file of each driver, by the module that it serves: that in the first of `folders` which has one.
 
     Drivers of modules that the program does not use are left out.
@@ -28,14 +28,14 @@ def driver_files(drivers: Mapping[str, Driver], program: Program, folders: list[
 
 
 def check_drivers(
-    program: Program, drivers: Mapping[str, Driver], files: Mapping[str, Path], targets: tuple[Target, ...]
+    program: Program, drivers: Mapping[str, DriverClass], files: Mapping[str, Path], targets: tuple[Target, ...]
 ) -> list[Diagnostic]:
     """Return a diagnostic for each module or port that its driver cannot serve."""
     used = [m for m in program.modules if m.name in files]
     return [d for m in used for d in _module(m, drivers[m.name], files[m.name], program, targets)]
 
 
-def own_class(driver: Driver, methods: tuple[str, ...], program: Program, folders: list[Path]) -> str:
+def own_class(driver: DriverClass, methods: tuple[str, ...], program: Program, folders: list[Path]) -> str:
     """Return a message about the flaw of a user's class, or "".
 
     The class must be constructible with one argument and have these methods.
@@ -44,11 +44,11 @@ def own_class(driver: Driver, methods: tuple[str, ...], program: Program, folder
     reason = _unfit(driver, file, program)
     if reason:
         return reason
-    from koordgen.build.bundle.probe import Unusable, look
+    from koordgen.build.bundle.probe import NotImportable, look
 
     try:
         found = look(file, _root(driver, file), [driver.name])[driver.name]
-    except Unusable as error:
+    except NotImportable as error:
         return f"{driver.path} cannot be imported: {error}"
     if found is None or not found["class"]:
         return f"{driver.path} has no class {driver.name}"
@@ -60,7 +60,7 @@ def own_class(driver: Driver, methods: tuple[str, ...], program: Program, folder
     return ""
 
 
-def _unfit(driver: Driver, file: Path, program: Program) -> str:
+def _unfit(driver: DriverClass, file: Path, program: Program) -> str:
     """Return a message that says why a file cannot be copied into bundles, or ""."""
     if driver.module.split(".")[0] in (*_OURS, functions_module(program)):
         return f"the file {driver.path} must have another name: every bundle has a file with this name"
@@ -71,7 +71,7 @@ def _unfit(driver: Driver, file: Path, program: Program) -> str:
     return ""
 
 
-def _root(driver: Driver, file: Path) -> Path:
+def _root(driver: DriverClass, file: Path) -> Path:
     return Path(str(file)[: -len(driver.path)])
 
 
@@ -82,7 +82,7 @@ def find(path: str, folders: list[Path]) -> Path:
 
 
 def _module(
-    module: Module, driver: Driver, file: Path, program: Program, targets: tuple[Target, ...]
+    module: Module, driver: DriverClass, file: Path, program: Program, targets: tuple[Target, ...]
 ) -> Iterator[Diagnostic]:
     own = next((t for t in targets if module.name in t.modules), None)
     if own is not None:
@@ -102,11 +102,11 @@ def _module(
         help = "copy the file into the folder of the fleet file or of the program"
         yield _wrong(module, f"{file} is a link to a file outside of its folder", help)
         return
-    from koordgen.build.bundle.probe import Unusable, look
+    from koordgen.build.bundle.probe import NotImportable, look
 
     try:
         found = look(file, root, [driver.name])[driver.name]
-    except Unusable as error:
+    except NotImportable as error:
         help = "the build imports it to read its ports, so the import must work on this computer as well"
         yield _wrong(module, f"{driver.path} cannot be imported: {error}", help)
         return
@@ -117,7 +117,7 @@ def _module(
     yield from _class(module, driver, found)
 
 
-def _class(module: Module, driver: Driver, found: dict[str, Any]) -> Iterator[Diagnostic]:
+def _class(module: Module, driver: DriverClass, found: dict[str, Any]) -> Iterator[Diagnostic]:
     methods = ["sense", "command", *(["call"] if any(p.direction == "callable" for p in module.ports) else [])]
     for method in methods:
         if method not in found["methods"]:
@@ -136,7 +136,7 @@ def _class(module: Module, driver: Driver, found: dict[str, Any]) -> Iterator[Di
             yield from _port(module, port, driver, found)
 
 
-def _port(module: Module, port: Port, driver: Driver, found: dict[str, Any]) -> Iterator[Diagnostic]:
+def _port(module: Module, port: Port, driver: DriverClass, found: dict[str, Any]) -> Iterator[Diagnostic]:
     offered = found[f"{port.direction}s"]
     name = f"{module.name}.{port.name}"
     type_ = offered.get(port.name)

@@ -28,11 +28,11 @@ def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
     if not file.is_file():
         help = f"write it in the folder of {program.path}, or name another file with --functions"
         return [_wrong(f"there is no file {file}, which should have the extern functions", first, help)]
-    from koordgen.build.bundle.probe import Unusable, look
+    from koordgen.build.bundle.probe import NotImportable, look
 
     try:
         offered = look(file, file.parent, [need.name for need in needs])
-    except Unusable as error:
+    except NotImportable as error:
         help = "the build imports it to check its functions, so the import must work on this computer as well"
         return [_wrong(f"{file.name} cannot be imported: {error}", first, help)]
     return [d for need in needs for d in _check(need, offered[need.name], file.name)]

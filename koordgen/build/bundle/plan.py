@@ -21,7 +21,7 @@ from koordgen.lang.node import Node
 
 if TYPE_CHECKING:  # importing YAML costs too much for builds without a fleet file
     from koordgen.fleet.file import Fleet
-    from koordgen.fleet.robots import Robot
+    from koordgen.fleet.robots import FleetRobot
 
 Files = dict[str, bytes]
 # File in each bundle of a fleet with the name of its release. An agent ignores agents of other releases.
@@ -72,7 +72,7 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     return bundles
 
 
-def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None) -> Files:
+def _agent(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | None) -> Files:
     module, _, name = target.entry.partition(":")
     program, fleet = these.program, these.fleet
     values = {
@@ -194,7 +194,7 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
     }
 
 
-def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
+def settings(program: Program, fleet: Fleet, robot: FleetRobot) -> dict[str, Any]:
     """Return the content of one robot's `settings.json`, which koordgen/runtime/config/settings.py reads."""
     facts = _facts(program, fleet)
     shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}

@@ -17,27 +17,27 @@ TIMEOUT = 10.0  # seconds
 METHODS = ("sense", "command", "call", "plan")  # methods of drivers and planners; the child reports which a class has
 
 
-class Unusable(Exception):
+class NotImportable(Exception):
     """Raised for a file that cannot be imported. The message gives the reason, without the file's name."""
 
 
 def look(file: Path, root: Path, names: list[str]) -> dict[str, dict[str, Any] | None]:
     """Return the description (see `_described`) of each of these names in `file`; None for a missing name.
 
-    Dotted imports of the file begin at `root`. Raises Unusable.
+    Dotted imports of the file begin at `root`. Raises NotImportable.
     """
     package = Path(__file__).resolve().parents[3]
     command = [sys.executable, "-B", __file__, str(file), str(root), str(package), *names]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT)
     except subprocess.TimeoutExpired:
-        raise Unusable(f"its import did not end within {TIMEOUT:.0f} s") from None
+        raise NotImportable(f"its import did not end within {TIMEOUT:.0f} s") from None
     try:
         found = json.loads(done.stdout)
     except ValueError:
-        raise Unusable(f"its import ended the process (status {done.returncode})") from None
+        raise NotImportable(f"its import ended the process (status {done.returncode})") from None
     if "error" in found:
-        raise Unusable(found["error"])
+        raise NotImportable(found["error"])
     offered: dict[str, dict[str, Any] | None] = found["offers"]
     return offered
 

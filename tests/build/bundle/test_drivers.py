@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.fleet import manifest
-from koordgen.fleet.offered import Driver
+from koordgen.fleet.settings import DriverClass
 from tests.build.emit.generated import checked
 
 PROGRAM = checked(
@@ -17,7 +17,7 @@ PROGRAM = checked(
     "  actuators: bool heat\n"
     "E:\n  pre: HVAC.temp > 3\n  eff: HVAC.heat = len(HVAC.spots) > 0\n"
 )
-HVAC = Driver("drivers.hvac", "Hvac")
+HVAC = DriverClass("drivers.hvac", "Hvac")
 RIGHT = """
 class Hvac:
     sensors = {"temp": "float", "spots": "List<Point>", "more": "int"}
@@ -27,11 +27,11 @@ class Hvac:
 """
 
 
-def told(folder: Path, text: str | None, driver: Driver = HVAC) -> list[tuple[int, str]]:
+def told(folder: Path, text: str | None, driver: DriverClass = HVAC) -> list[tuple[int, str]]:
     if text is not None:
         (folder / "drivers").mkdir()
         (folder / "drivers/hvac.py").write_text(text)
-    drivers = {"HVAC": driver, "Other": Driver("not.there", "X")}
+    drivers = {"HVAC": driver, "Other": DriverClass("not.there", "X")}
     files = driver_files(drivers, PROGRAM, [folder / "elsewhere", folder])
     found = check_drivers(PROGRAM, drivers, files, (manifest.load("car"),))
     assert all(d.code == "B005" for d in found)
@@ -75,7 +75,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "out.py").write_text(RIGHT)
     (tmp_path / "in/own.py").symlink_to(tmp_path / "out.py")
-    ((_, message),) = told(tmp_path / "in", None, Driver("own", "Hvac"))
+    ((_, message),) = told(tmp_path / "in", None, DriverClass("own", "Hvac"))
     assert message.endswith("own.py is a link to a file outside of its folder")
 
 
@@ -83,7 +83,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     "module", ["koordgen.runtime.agent.process", "program", "targets.car", "__main__", "a_functions"]
 )
 def test_a_file_of_the_bundle_is_never_replaced(tmp_path: Path, module: str) -> None:
-    ((_, message),) = told(tmp_path, None, Driver(module, "Hvac"))
+    ((_, message),) = told(tmp_path, None, DriverClass(module, "Hvac"))
     assert message.startswith("a driver's file cannot have the name")
 
 
@@ -91,6 +91,6 @@ def test_a_module_of_the_target_has_no_driver() -> None:
     program = checked(
         "using Motion:\n  actuators: Point target\nE:\n  pre: True\n  eff: Motion.target = Point(1, 1, 0)\n"
     )
-    drivers = {"Motion": Driver("own", "Own")}
+    drivers = {"Motion": DriverClass("own", "Own")}
     (found,) = check_drivers(program, drivers, driver_files(drivers, program, [Path(".")]), (manifest.load("car"),))
     assert found.message == "Motion is a module of target car and can have no driver"
