@@ -14,7 +14,7 @@ LIST = "`koordgen docs` lists all pages"
 
 
 def docs(options: Namespace) -> int:
-    """List the pages, or print one page or one section of it as it is: Markdown."""
+    """List the pages, or print a page or one of its sections as Markdown. Raises Failure."""
     if options.page is None:
         print(_listing())
     else:
@@ -25,7 +25,7 @@ def docs(options: Namespace) -> int:
 
 
 def pages() -> dict[str, Path]:
-    """The file of each page, by name: the first page to read, the others by alphabet, then records of decisions."""
+    """Return the file of each page by its name: first README, then the pages by name, then records of decisions."""
     folder = resources.docs()
     files = [*sorted(folder.glob("*.md")), *sorted(folder.glob("adr/*.md"))]
     named = {path.relative_to(folder).with_suffix("").as_posix(): path for path in files}
@@ -33,7 +33,7 @@ def pages() -> dict[str, Path]:
 
 
 def sections(text: str) -> dict[str, str]:
-    """The text of each section of a page with its subsections, by the anchor that links give it."""
+    """Return the text of each section of a page, with its subsections, by the section's anchor in links."""
     found: dict[str, str] = {}
     headings = [
         (len(m[1]), m[2], m.start()) for m in re.finditer(r"^(#+) (.*)$", _without_listings(text), re.MULTILINE)
@@ -45,7 +45,7 @@ def sections(text: str) -> dict[str, str]:
 
 
 def _without_listings(text: str) -> str:
-    """The text with every character of its listings replaced by a blank: `#` begins no heading in them."""
+    """Return the text with code blocks replaced by blanks, since `#` does not begin a heading in them."""
     return re.sub(r"^```.*?^```$", lambda m: re.sub(r"[^\n]", " ", m[0]), text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -58,7 +58,7 @@ def _listing() -> str:
             "",
             *(f"  {name:{width}}  {title}" for name, title in titles.items()),
             "",
-            f"The pages are files, with pictures, in {resources.docs()}",
+            f"Files of the pages, with their pictures: {resources.docs()}",
         ]
     )
 
@@ -69,7 +69,7 @@ def _title(path: Path) -> str:
 
 
 def _page(name: str) -> str:
-    """Raises Failure."""
+    """Return the text of a page. Raises Failure."""
     there = pages()
     if name not in there:
         near = get_close_matches(Path(name).stem, there, 1)
@@ -79,7 +79,7 @@ def _page(name: str) -> str:
 
 
 def _section(text: str, page: str, anchor: str) -> str:
-    """Raises Failure."""
+    """Return the text of a section. Raises Failure."""
     there = sections(text)
     if anchor not in there:
         near = get_close_matches(anchor, there, 1)

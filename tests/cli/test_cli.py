@@ -81,7 +81,7 @@ def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain"]) == 0
     *codes, words = capsys.readouterr().out.splitlines()
     assert codes == [f"{code}  {title}" for code, title in CATALOGUE.items()]
-    assert words.startswith("words: PROVED, NOT INDUCTIVE, ") and words.endswith(", skip")
+    assert words.startswith("other topics: PROVED, NOT INDUCTIVE, ") and words.endswith(", skip")
 
 
 @pytest.mark.parametrize("words", ["NOT INDUCTIVE", "not inductive", "VACUOUS", "skip", "not current", "SKIP"])
@@ -374,7 +374,7 @@ def test_an_error_of_the_compiler_is_not_the_users(
 ) -> None:
     monkeypatch.setattr("koordgen.build.pipeline.check", lambda *_: 1 / 0)
     assert main(["check", str(LINEFORM)]) == 70
-    assert "mistake of koordgen" in capsys.readouterr().err
+    assert "bug of koordgen" in capsys.readouterr().err
 
 
 def test_outputs_of_others_survive(tmp_path: Path) -> None:

@@ -206,7 +206,7 @@ def test_when_nobody_can_be_called(
         path.write_text(text)
     assert main(["estop", str(path)]) == 1
     told = capsys.readouterr().err
-    assert words in told and "nobody was called; stop them by hand" in told
+    assert words in told and "no robot was called; stop them by hand" in told
 
 
 def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> None:

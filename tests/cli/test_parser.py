@@ -39,7 +39,7 @@ def test_robots_may_stand_before_and_behind_options() -> None:
         ("chek app.koord", "koordgen COMMAND", "did you mean check?"),
         ("simm app.koord", "koordgen COMMAND", "did you mean sim?"),
         ("", "koordgen COMMAND", "`koordgen help` lists the commands"),
-        ("--fleet f.yaml build", "koordgen COMMAND", "--fleet stands before the command"),
+        ("--fleet f.yaml build", "koordgen COMMAND", "the option --fleet comes before the command"),
         ("sim app.koord --duraton 10", "koordgen sim APP.koord", "did you mean --duration?"),
         ("sim app.koord --duraton=10", "koordgen sim APP.koord", "no option --duraton"),
         ("sim --flet fleet.yaml app.koord", "koordgen sim APP.koord", "did you mean --fleet?"),

@@ -196,8 +196,8 @@ def test_a_marker_list_is_one_of_the_program(tmp_path: Any) -> None:
         ("spots", "", ""),
         ("tasks", "", "of Points; possible positions: place"),
         ("tasks", "done", "a Point 'done'; possible positions: place"),
-        ("n", "", "no shared list of that name"),
-        ("none", "place", "no shared list of that name"),
+        ("n", "", "no shared list n of Points"),
+        ("none", "place", "no shared list none whose elements have a Point"),
     ]:
         (tmp_path / "fleet.yaml").write_text(
             f"world: {{marker_list: {{variable: {variable}, position: '{position}'}}}}\n" + GOOD
