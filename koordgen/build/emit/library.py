@@ -68,10 +68,7 @@ _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 
 
 def imports(used: Container[str]) -> tuple[list[str], list[str], list[str]]:
-    """Return the import lines for used names, in three groups: Python's library, packages, the runtime.
-
-    `used` may be a text. Then a name counts as used wherever it occurs in the text, even inside a longer word.
-    """
+    """Return the import lines for used names, in three groups: Python's library, packages, the runtime."""
     groups: tuple[list[str], list[str], list[str]] = ([], [], [])
     for module, names in _MODULES.items():
         found = [name for name in names if name in used]

@@ -1,24 +1,22 @@
 """Both checks of a program: names and types, which yield the IR with drafts, and the analysis of that.
 
-The analysis goes on beside errors of the first check: it judges what has a type.
+The analysis goes on beside errors of the first check: it judges what has a type. Rules that few programs need are
+imported when they are needed, because a check is short.
 """
 
 from __future__ import annotations
 
 from koordgen.lang.analyze.events import judge_events
 from koordgen.lang.analyze.expressions import judge
-from koordgen.lang.analyze.locks import locked
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.first_value import judge_first_value
-from koordgen.lang.analyze.rules.missing_return import judge_end
-from koordgen.lang.analyze.rules.waiting import judge_waiting
 from koordgen.lang.analyze.statements import judge_block
 from koordgen.lang.check.sections.program import resolve
 from koordgen.lang.diagnostics import Diagnostic, in_order
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.draft import Section
 from koordgen.lang.ir.expr import Expr
-from koordgen.lang.ir.types import Type
+from koordgen.lang.ir.types import BOOL, Type
 from koordgen.lang.node import replace
 from koordgen.lang.source import Source
 from koordgen.lang.syntax import decl as ast
@@ -45,15 +43,30 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
     externs = tuple([_contract(function, a) for function in program.externs])
     a.enter("init")
     init = judge_block(program.init, a)
-    events, locks = locked(judge_events(program.events, a), shared, a)
+    events, locks = _events(program.events, shared, a)
     properties = tuple([replace(p, formula=_formula(p.formula, "property", a)) for p in program.properties])
     modules = tuple([_module(module, a) for module in program.modules])
     checked = decl.Program(
         program.name, program.path, records, program.extern_types, functions, externs, program.specs, params, modules,
         shared, locals_, locks, init, events, properties,
     )  # fmt: skip
-    judge_waiting(checked, lambda: is_whole(text), a)
+    if any(variable.type is BOOL for variable in locals_):
+        from koordgen.lang.analyze.rules.waiting import judge_waiting
+
+        judge_waiting(checked, lambda: is_whole(text), a)
     return checked
+
+
+def _events(
+    written: tuple[decl.Event, ...], shared: tuple[decl.Shared, ...], a: Analysis
+) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
+    """Return the events, and the groups of shared variables that have one lock."""
+    judged = judge_events(written, a)
+    if all(atomic is None for _, atomic in judged):
+        return tuple([event for event, _ in judged]), ()
+    from koordgen.lang.analyze.locks import locked
+
+    return locked(judged, shared, a)
 
 
 def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
@@ -74,6 +87,8 @@ def _function(function: decl.Function, a: Analysis) -> decl.Function:
     a.enter("function")
     block = judge_block(function.block, a)
     if a.path is not None:
+        from koordgen.lang.analyze.rules.missing_return import judge_end
+
         judge_end(function, a)
     return replace(function, block=block)
 

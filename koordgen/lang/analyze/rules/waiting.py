@@ -19,8 +19,6 @@ def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings:
     make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text. `is_whole` returns
     whether all of the text could be read."""
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
-    if not starts:
-        return
     events = program.events
     asked = [_asked(event.guard, starts) for event in events]
     if not any(asked) or findings.has_errors():
