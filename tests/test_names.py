@@ -1,5 +1,7 @@
-"""Names of koordgen/ and targets/: no retired words, and no public class name twice. `python -m tests.test_names` prints
-what is left to rename."""
+"""Names of koordgen/ and targets/: no retired words, and no public class name twice.
+
+`python -m tests.test_names` prints what is left to rename.
+"""
 
 from __future__ import annotations
 
@@ -61,25 +63,33 @@ RETIRED = {
     "ways": "paths, alternatives",
 }
 # Those that count in first lines of docstrings as well. The others have plain uses there: "takes 3 ms", "the rest".
-IN_TEXT = frozenset(
-    """boots comeback courier crew doubted findings ledger news noticed outbox patience rested resting slowed speech surely
-    tell tells told upset voice""".split()
-)
+IN_TEXT = (
+    "boots", "comeback", "courier", "crew", "doubted", "findings", "ledger", "news", "noticed", "outbox", "patience",
+    "rested", "resting", "slowed", "speech", "surely", "tell", "tells", "told", "upset", "voice",
+)  # fmt: skip
 # Words that may not begin a docstring.
 OPENERS = ("That", "What", "Whether", "Where", "Who")
 
 # Allowed: (word, beginning of the path) -> reason.
 ALLOWED = {
     ("closing", "koordgen/build/emit/layout.py"): "a closing bracket",
-    ("closing", "koordgen/lang/"): "a closing bracket",
-    ("certain", "koordgen/lang/analyze/"): "a fact that holds on every path",
-    ("rest", "koordgen/lang/"): "the remaining items",
-    ("rest", "koordgen/verify/prove/"): "the remaining items",
 }
 
 # Uses of retired words that are left in each room: of the words in names, and of those in docstrings with the openers.
 # The numbers may only become smaller; a room that is not listed has none.
-LEFT: dict[str, tuple[int, int]] = {}
+LEFT: dict[str, tuple[int, int]] = {
+    "koordgen/cli": (9, 13),
+    "koordgen/experiment": (19, 28),
+    "koordgen/lang": (24, 135),
+    "koordgen/operate": (17, 18),
+    "koordgen/runtime": (80, 144),
+    "koordgen/verify": (81, 198),
+    "targets/car": (41, 67),
+    "targets/mavlink": (7, 12),
+    "targets/planning": (11, 26),
+    "targets/quad": (33, 46),
+    "targets/sim": (126, 183),
+}
 
 # Rooms in which a class name may occur once each, with the reason.
 PAIRED = {
@@ -88,7 +98,22 @@ PAIRED = {
 # Public class names that may occur in several modules of one tree, with the reason.
 REPEATED: dict[str, str] = {}
 # Class names that still occur in several modules. Names are only taken away from this list.
-STILL_REPEATED: dict[str, str] = {"koordgen": "", "targets": ""}
+STILL_REPEATED = {
+    "koordgen": """
+        Answer Asked Asking Assumption Ball Bound Bounds Box Breach Broken Cell Choice Contract Counterexample
+        Counters Domain Entry Event Examined Explanation ExternType Fact Finding Flaw Fleet Folder Found Frame
+        Function Grid Guard Head Init Judge Known Library Life Line Local Log Mark Meaning Metrics Mission
+        Moment Moved Outcome Pairs Parts Phase Place Plan Platform Port Ports Pose Program Progress Property
+        Range Reader Ready Record Rect Refused Report Result Robot Round Rounds Row Run Sample Session Setting
+        Shared Span State Step Stop Stopped Store Stream Target TooLarge Trace Unknown Unread Unusable Value
+        Variable Verdict View Violation World Write Writes
+    """,
+    "targets": """
+        Aim Asked Avoidance Body Car Carrier Direct Estimator Guard Hub Limits Link Marked Monitored Motion
+        Origin Parameters Phase Plan Positioning Route Rows Seen SimpleCar Stage State Surroundings Telemetry
+        Track Vehicle Watch Way World
+    """,
+}
 
 
 class Use(NamedTuple):
@@ -230,7 +255,12 @@ def test_exceptions_are_needed() -> None:
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("_news_of", ["news", "of"]), ("CannotTell", ["cannot", "tell"]), ("UDPGate2", ["udp", "gate"]), ("MOST", ["most"])],
+    [
+        ("_news_of", ["news", "of"]),
+        ("CannotTell", ["cannot", "tell"]),
+        ("UDPGate2", ["udp", "gate"]),
+        ("MOST", ["most"]),
+    ],
 )
 def test_words_of_an_identifier(name: str, expected: list[str]) -> None:
     assert words(name) == expected
@@ -238,10 +268,11 @@ def test_words_of_an_identifier(name: str, expected: list[str]) -> None:
 
 def test_what_is_over_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     tree = ast.parse('class Told:\n  """What was told."""\n  def f(self, news): self.few = 1\n')
-    monkeypatch.setattr(f"{__name__}.modules", lambda: {"koordgen/new/told.py": tree})
+    path = "/".join(["koordgen", "new", "told.py"])
+    monkeypatch.setattr(f"{__name__}.modules", lambda: {path: tree})
     lines = over(list(uses_in_names()), 0).split("\n")
     assert lines[0].startswith("koordgen/new has 4 uses") and len(lines) == 5
-    assert "koordgen/new/told.py:3: 'news' has 'news'" in "\n".join(lines)
+    assert any(line.startswith(f"  {path}:3: 'news' has 'news'") for line in lines)
     assert [use.word for use in uses_in_docstrings()] == ["What", "told"]
 
 

@@ -40,7 +40,7 @@ class Checked(Node):
 
     source: Source
     program: Program
-    noticed: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def read_source(path: str) -> Source:
@@ -142,7 +142,7 @@ def plan_file(
     if fleet:
         budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
-        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
+        checked = replace(checked, diagnostics=tuple(in_order([*checked.diagnostics, *sending, *slow])))
     source = Path(path).read_bytes()
     return checked, plan(
         read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed

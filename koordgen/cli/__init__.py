@@ -22,10 +22,10 @@ from koordgen.cli.base.console import (
     Failure,
     install,
     internal_error,
+    notify,
     output,
-    say,
+    print_diagnostics,
     show_rejected,
-    tell,
 )
 from koordgen.cli.commands import parsed
 
@@ -60,7 +60,7 @@ def _unwritten(error: OSError) -> int:
     import os
 
     if not isinstance(error, BrokenPipeError):
-        say(f"error: {error.filename or 'standard output'}: {error.strerror}")
+        notify(f"error: {error.filename or 'standard output'}: {error.strerror}")
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -73,10 +73,10 @@ def _run(options: Namespace) -> int:
     try:
         return _COMMANDS.get(options.command, _harness)(options)
     except Failure as failure:
-        say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
+        notify(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
         return failure.status
     except KeyboardInterrupt:
-        say("interrupted")
+        notify("interrupted")
         return INTERRUPTED
     except Exception as error:
         from koordgen.build.pipeline import Rejected
@@ -84,7 +84,7 @@ def _run(options: Namespace) -> int:
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
         ):
-            say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
+            notify(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
         if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
             raise  # `main` ends the command
@@ -112,7 +112,7 @@ def _check(options: Namespace) -> int:
     from koordgen.build.pipeline import check_file
 
     checked = check_file(options.program)
-    tell([(checked.source, d) for d in checked.noticed], options)
+    print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     return HOLDS
 
 
@@ -132,7 +132,9 @@ def _build(options: Namespace) -> int:
     targets = None if options.target is None else target_names(options.target)
     bundles, app = planned(options, targets)
     if targets is not None and (missing := left_out(bundles, targets)):
-        say(f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built")
+        notify(
+            f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built"
+        )
     folder = Path(options.out) / app
     write(bundles, folder)
     for name, files in bundles.items():
@@ -203,7 +205,7 @@ def _estop(options: Namespace) -> int:
     if options.fleet is None and not options.address:
         raise Failure(USAGE, "no fleet file is named, and no --address", f"no robot was called; {BY_HAND}")
     try:
-        results = stop_fleet(options.fleet, options.key, say, options.address, options.application)
+        results = stop_fleet(options.fleet, options.key, notify, options.address, options.application)
     except CannotStop as error:
         status = USAGE if isinstance(error, BadAddress) else WRONG
         raise Failure(status, str(error), f"{error.help}no robot was called; {BY_HAND}") from None
@@ -229,19 +231,19 @@ def _basestation(options: Namespace) -> int:
     import os
 
     from koordgen.build.pipeline import read_fleet
-    from koordgen.cli.base.terminal import Line
+    from koordgen.cli.base.terminal import ProgressLine
     from koordgen.operate.basestation import CannotServe, WrongFiles, all_targets, station
 
     fleet, _ = read_fleet(options.fleet, all_targets(), None)
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     try:
-        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, say)
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, notify)
         try:
             serving.serve(line.show)
         except KeyboardInterrupt:
             line.end()
             if not serving.camera.end():  # its library still waits for a frame, and would crash Python at its exit
-                say("interrupted")
+                notify("interrupted")
                 os._exit(INTERRUPTED)
             raise
     except CannotServe as error:

@@ -18,7 +18,7 @@ import pytest
 
 from koordgen.build.pipeline import read_fleet
 from koordgen.cli import main
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.fleet.mocap import Mocap
 from koordgen.operate import basestation
 from koordgen.operate.basestation import (
@@ -256,7 +256,7 @@ def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> N
             raise KeyboardInterrupt
 
     stream = Interrupted()
-    line = Line(stream)
+    line = ProgressLine(stream)
     with pytest.raises(KeyboardInterrupt):
         line.show("alice 50/s")
     line.end()

@@ -27,7 +27,7 @@ def files(folder: Path) -> dict[str, str]:
 def test_it_writes_a_program_and_a_fleet_file(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["new", "hello"]) == 0
     assert set(files(here)) == {"hello/hello.koord", "hello/fleet.yaml"}
-    assert check_file("hello/hello.koord").noticed == ()
+    assert check_file("hello/hello.koord").diagnostics == ()
     result = format_file("hello/hello.koord", None, write=False)
     assert result.after == result.before
     out = capsys.readouterr().out

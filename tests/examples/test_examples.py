@@ -39,7 +39,7 @@ def test_all_twelve_are_here() -> None:
 
 @each
 def test_it_checks_without_a_word(name: str) -> None:
-    assert check_file(str(EXAMPLES / name / f"{name}.koord")).noticed == ()
+    assert check_file(str(EXAMPLES / name / f"{name}.koord")).diagnostics == ()
 
 
 @each

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from koordgen.cli.base.console import SURROUNDINGS, USAGE, Failure, install, tell
+from koordgen.cli.base.console import SURROUNDINGS, USAGE, Failure, install, print_diagnostics
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -63,11 +63,11 @@ def planned(
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
         raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; reinstall koordgen") from None
-    noticed = [(checked.source, d) for d in checked.noticed]
+    diagnostics = [(checked.source, d) for d in checked.diagnostics]
     if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
-        collected += noticed
+        collected += diagnostics
     else:
-        tell(noticed, options)
+        print_diagnostics(diagnostics, options)
     return bundles, checked.program.name
 
 

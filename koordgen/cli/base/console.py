@@ -46,13 +46,13 @@ def print_document(options: Namespace, results: Mapping[str, object]) -> None:
 
 def show_rejected(rejected: Rejected, options: Namespace) -> None:
     """Print the diagnostics of wrong files and, in text, the number of errors."""
-    tell(rejected.found, options)
+    print_diagnostics(rejected.found, options)
     codes = [d.code for _, d in rejected.found if d.severity == "error"]
     if options.format == "text":
-        say(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
+        notify(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
 
 
-def tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
+def print_diagnostics(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
     """Print diagnostics in the format of the options. JSON and SARIF are one document, even without diagnostics."""
     if options.format == "json":
         from koordgen.lang.diagnostics import to_json
@@ -68,7 +68,7 @@ def tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> No
         from koordgen.lang.diagnostics import render
 
         for source, diagnostic in found:
-            say(render(diagnostic, source))
+            notify(render(diagnostic, source))
 
 
 def output(options: Namespace) -> TextIO | None:
@@ -76,7 +76,7 @@ def output(options: Namespace) -> TextIO | None:
     return None if options.format == "text" else sys.stderr
 
 
-def say(text: str) -> None:
+def notify(text: str) -> None:
     """Print a message to stderr, with colours on a terminal."""
     from koordgen.cli.base.terminal import coloured_message
 
@@ -87,7 +87,7 @@ def internal_error(error: Exception) -> int:
     import traceback
 
     traceback.print_exception(error)
-    say(
+    notify(
         f"internal error: {error}\n"
         "  this is a bug of koordgen, not an error in your program: please report it with the lines above"
     )

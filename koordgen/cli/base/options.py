@@ -417,7 +417,7 @@ def show(command: Parser) -> None:
     _trace(command)
     time = command.add_argument_group("time")
     when = "seconds since round 1 (default: the first violation; without one, the mission's end)"
-    time.add_argument("--at", metavar="S", type=values.moment, help=when)
+    time.add_argument("--at", metavar="S", type=values.time_of_run, help=when)
     _format(command.add_argument_group("output"))
 
 

@@ -24,7 +24,7 @@ _VERDICTS = re.compile(
 )
 
 
-class Line:
+class ProgressLine:
     """Progress line: shows the latest text only, cut to the width of the terminal."""
 
     def __init__(self, stream: TextIO) -> None:

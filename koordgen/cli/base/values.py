@@ -42,7 +42,7 @@ def seconds_or_none(text: str) -> float:
     return _number(text, 0.0, LONGEST, "seconds")
 
 
-def moment(text: str) -> float:
+def time_of_run(text: str) -> float:
     """Return a time of a run in seconds since round 1; before round 1 it is negative."""
     return _number(text, -LONGEST, LONGEST, "seconds since round 1")
 

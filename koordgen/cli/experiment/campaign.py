@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.cli.base import building, console
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.cli.experiment.harness import read_scenario
 from koordgen.experiment.campaign import crew, drive, plan, store, vary
 from koordgen.experiment.campaign.task import Job
@@ -61,7 +61,7 @@ def campaign(options: Namespace) -> int:
     verdict = _digest(Path(options.verdict).read_bytes()) if options.verdict else ""
     wanted = plan.Plan(app, _digest(sums), verdict, tuple(fixed), tuple(options.vary), count)
     out = Path(options.out or f"campaign-{app}")
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     show = (lambda _: None) if options.quiet else line.show
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, _builder(options, harness), runs)
@@ -220,7 +220,7 @@ def _ended(
     carry_out: Callable[[Callable[[], bool]], None],
     kept: store.Store,
     planned: int,
-    line: Line,
+    line: ProgressLine,
     again: str = "--resume",
 ) -> BaseException | None:
     """Why it ended before its end, or None. What was finished is there either way; `again` goes on with it."""

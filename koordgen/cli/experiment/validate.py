@@ -15,7 +15,7 @@ from typing import Any
 
 from koordgen.build.pipeline import Checked, check_file, fleet_params
 from koordgen.cli.base import building, console
-from koordgen.cli.base.terminal import Line, coloured_verdicts
+from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.experiment import campaign as campaigns
 from koordgen.experiment.campaign import drive, store
 from koordgen.experiment.campaign.crew import Unreachable
@@ -49,7 +49,7 @@ def validate(options: Namespace) -> int:
     bundles, app = building.planned(aside, [harness.name])
     building.require_packages()
     out = Path(options.out or f"validate-{app}")
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     try:
         kept, ended = _sampled(aside, harness, bundles[harness.name], app, count, out, line)
         found = _found(options, checked, bundles[harness.name], kept, count, ended is None, line)
@@ -66,7 +66,7 @@ def validate(options: Namespace) -> int:
 
 def _found(
     options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.Store, count: int, whole: bool,
-    line: Line,
+    line: ProgressLine,
 ) -> table.Found:  # fmt: skip
     """What the samples say; `whole`: nothing ended them early. Raises OSError."""
     numbers = [k for k in sorted(kept.results) if k < count]
@@ -92,7 +92,7 @@ def _sampled(
     app: str,
     count: int,
     out: Path,
-    line: Line,
+    line: ProgressLine,
 ) -> tuple[store.Store, BaseException | None]:
     """The runs, those that were finished by an earlier call among them, and what ended them early. More samples of the
     same program and fleet go on with those that are there: a sample is told by its seed alone."""
@@ -138,7 +138,7 @@ def _texts(checked: Checked) -> dict[int, str]:
 
 
 def _suggested(
-    options: Namespace, checked: Checked, judged: Sequence[Verdict], found: Sequence[samples.Sample], line: Line
+    options: Namespace, checked: Checked, judged: Sequence[Verdict], found: Sequence[samples.Sample], line: ProgressLine
 ) -> list[Suggestion]:
     """For each assumption that is violated; none without a solver, which is said."""
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
@@ -155,11 +155,11 @@ def _suggested(
             ]
     except SolverMissing as error:
         line.end()
-        console.say(f"note: {error}: what could be assumed instead was not proved")
+        console.notify(f"note: {error}: what could be assumed instead was not proved")
         return []
 
 
-def _reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+def _reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
 
     return made(options, out, line)
 
@@ -192,7 +192,7 @@ def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach:
 FOLDER, RUNS = "reachsets", "probes"
 
 
-def made(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+def made(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
     """Files, and how the platforms compare, as JSON has it; `text` is that for people. They are made anew with each
     call. Raises OSError, Unreachable."""
     folder = out / FOLDER

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
-from koordgen.cli.base.terminal import Line, coloured_verdicts
+from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
@@ -66,7 +66,7 @@ def _judged(
 ) -> tuple[list[Finding], str]:
     """The findings, and why they are not of the whole mission; empty where they are. Of the last round that was begun
     nothing is counted, but a violation is."""
-    line, judge, reached, ended = Line(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
+    line, judge, reached, ended = ProgressLine(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
 
     def progress(round_: int, last: int) -> None:
         nonlocal reached

@@ -16,8 +16,8 @@ from koordgen.cli.base.console import (
     VIOLATED,
     Failure,
     install,
-    say,
-    tell,
+    notify,
+    print_diagnostics,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
 
     checked = check_file(options.program)
     if options.format == "text":
-        tell([(checked.source, d) for d in checked.noticed], options)
+        print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
     question = fixed(checked.program, given)
     found = asked(checked.program, question, options.robots, solver, _total(options))
@@ -79,7 +79,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         if made:
             save(options.trace, made)
         else:
-            say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
+            notify(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
     return status(found)
 
 
