@@ -1,7 +1,8 @@
-"""Judges a simulated run of Formation: do the robots stand on a regular polygon, in their order, and has it turned?
-`python formation_verdict.py DIR`, the folder that the run left. In plan view, from the robots' true positions at the
-mission's end in DIR/summary.json: each within 0.4 m of its corner of the polygon that fits them best, which has turned
-by 0.3 rad at least. Exit status: 0 they do, 3 they do not, 1 the files cannot be used, 2 usage.
+"""Verdict of a simulated run of Formation: robots must end on a regular polygon, in their order, which has turned.
+
+`python formation_verdict.py DIR`, with the folder of the run. Positions are the true ones at the mission's end, in plan
+view, from DIR/summary.json. Each robot must be within 0.4 m of its corner of the polygon that fits them best, and that
+polygon must have turned by 0.3 rad or more. Exit status: 0 yes, 3 no, 1 the files cannot be used, 2 usage.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ OFF, TURNED = 0.4, 0.3  # metres, radians
 
 
 class Unusable(Exception):
-    """The run's files cannot be judged; the message says why."""
+    """Raised if the run's files cannot be judged. The message gives the reason."""
 
 
 def read(folder: Path) -> tuple[list[str], list[complex], str]:
-    """Names, plan positions at the mission's end, and what the run itself says against it. Raises Unusable."""
+    """Return names, plan positions (m) at the mission's end, and the run's own reasons against it. Raises Unusable."""
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         robots = summary["robots"]
@@ -34,8 +35,10 @@ def read(folder: Path) -> tuple[list[str], list[complex], str]:
 
 
 def fitted(places: list[complex]) -> tuple[complex, complex]:
-    """The middle and the first corner, seen from it, of the regular polygon that is nearest to the places, in least
-    squares: a discrete Fourier transform's terms 0 and 1."""
+    """Return centre, and first corner relative to it, of the regular polygon that fits the positions best.
+
+    Best in least squares: they are the terms 0 and 1 of a discrete Fourier transform.
+    """
     n = len(places)
     middle = sum(places) / n
     return middle, sum(p * cmath.exp(-2j * math.pi * k / n) for k, p in enumerate(places)) / n
