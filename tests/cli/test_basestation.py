@@ -1,4 +1,4 @@
-"""The base station: whose pose goes where, how often, and what is told. The last tests open sockets on loopback."""
+"""Base station: receivers and rates of poses, and its messages. The last tests open sockets on loopback."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_the_package_can_be_imported_and_its_mistakes_are_told() -> None:
 
 
 class FakeSystem:
-    """As `motioncapture.MotionCapture`: a body circles, a frame each 5 ms."""
+    """Stand-in for `motioncapture.MotionCapture`: a body circles, with a frame each 5 ms."""
 
     def __init__(self, fails: bool = False) -> None:
         self._count = 0
@@ -265,8 +265,10 @@ def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> N
 
 @pytest.mark.parametrize("system", ["mock", "vrpn"])
 def test_it_ends_in_order_when_interrupted(system: str, tmp_path: Path) -> None:
-    """With the real package; vrpn waits within its library for what never comes. It serves when its line stands on the
-    terminal: who interrupts a Python that still loads gets Python's own words."""
+    """Uses the real package, whose vrpn waits in its library for a frame that never comes.
+
+    The interrupt comes after the progress line is shown: Python that is still loading would print its own message.
+    """
     pytest.importorskip("motioncapture")
     options = [str(written(tmp_path)), "--system", system, "--host", "127.0.0.1"]
     command = [sys.executable, "-m", "koordgen", "basestation", *options]

@@ -1,4 +1,4 @@
-"""The command line on real files: exit statuses, messages with a place and a way out, and nothing half-written."""
+"""Command line on real files: exit statuses, messages with a place and a help text, no half-written files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def koordgen(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]
 
 @pytest.fixture
 def printed(tmp_path: Path) -> Path:
-    """LineForm as printed: its guard lacks the `not`."""
+    """LineForm as published: its guard lacks the `not`."""
     path = tmp_path / "lineform.koord"
     path.write_text(LINEFORM.read_text().replace("pre: not (pid", "pre: (pid"))
     return path

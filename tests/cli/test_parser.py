@@ -1,4 +1,4 @@
-"""Usage errors lead on, options are never abbreviated, and `koordgen help` explains every command and option."""
+"""Usage errors propose what to do, options cannot be abbreviated, and help explains each command and option."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EVERYTHING = {**COMMANDS, **harnesses()}
 
 
 def left(arguments: Sequence[str]) -> int:
-    """The exit status of a command that may leave by SystemExit, as argparse does."""
+    """Return the exit status of a command that may raise SystemExit, as argparse does."""
     try:
         return main(arguments)
     except SystemExit as ended:

@@ -1,4 +1,4 @@
-"""`--scenario FILE`: what is wrong with it is told at its line and column, before anything runs."""
+"""`--scenario FILE`: errors are reported at line and column, before anything runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the build says of a fleet that could not send what its program writes, and of the fleet's policies."""
+"""Build errors for fleets that could not send the program's writes, and policies of the fleet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PATHS = "allread: List<Point> path[N_SYS] max {}\nGo:\n  pre: True\n  eff: path[
 
 
 def built(folder: Path, program: str, fleet: str) -> int:
-    """`build` of a program for the fleet of five quads and cars, with more said of it."""
+    """Run `build` on a program for a fleet of five quads and cars, with additional lines in the fleet file."""
     (folder / "a.koord").write_text(program)
     (folder / "fleet.yaml").write_text(FLEET.read_text() + fleet)
     build = ["build", str(folder / "a.koord"), "--target", "quad,car", "--fleet", str(folder / "fleet.yaml")]

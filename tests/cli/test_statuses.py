@@ -1,4 +1,4 @@
-"""Exit statuses mean the same in every command, as the table in docs/cli.md says."""
+"""Exit statuses have the same meaning in every command, as in the table of docs/cli.md."""
 
 from __future__ import annotations
 

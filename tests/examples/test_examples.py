@@ -1,5 +1,7 @@
-"""Every example checks without a word, builds for its fleet, is in the one style and says how to run it; in `make slow`
-each runs in the simulator once."""
+"""Examples: each has no diagnostics, builds for its fleet, is formatted, and says how to run it.
+
+`make slow` also runs each in the simulator once.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ def readme(name: str) -> str:
 
 
 def commands(text: str) -> list[list[str]]:
-    """The commands in the code blocks of a page."""
+    """Return the commands in the code blocks of a page."""
     blocks = re.findall(r"^```\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
     return [line for line in lines if line]
@@ -53,7 +55,7 @@ def test_it_is_in_the_one_style(name: str) -> None:
 def test_the_commands_of_its_readme(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`koordgen build` as it stands there writes a bundle for each robot; `koordgen sim` is of the same files."""
+    """`koordgen build` in it writes a bundle for each robot; `koordgen sim` uses the same files."""
     build, sim, *others = commands(readme(name))
     folder = f"examples/{name}"
     assert build[:3] == ["koordgen", "build", f"{folder}/{name}.koord"] and build[-2:] == ["-o", "build"]
@@ -98,7 +100,7 @@ ENDS = {"atomicsum", "crossing", "delivery", "election", "mapping", "rendezvous"
 @pytest.mark.slow
 @each
 def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
-    """The run holds; the programs that have an end come to it within the time given."""
+    """The run holds; programs that stop do so within the given time."""
     folder = EXAMPLES / name
     command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord"), "--fleet"]
     command += [str(folder / "fleet.yaml"), "--duration", str(SECONDS[name]), "--seed", "3", "--lockstep"]

@@ -1,4 +1,4 @@
-"""The scripts that judge runs of Task, Mapping and Formation: each thing that must not be is seen, and nothing else."""
+"""Verdict scripts of Task, Mapping and Formation: each fault is found, and correct runs pass."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ WALL = {"shape": "box", "lo": [2.0, 0.0, 0.0], "hi": [4.0, 2.0, 1.0]}  # the eas
 
 
 def handed(t: float, rows: list[str]) -> dict[str, Any]:
-    """A map of 0.5 m from (0, 0) on, north at the top: `?` unknown, `.` free, `#` occupied."""
+    """Return a map with cells of 0.5 m from (0, 0), with north at the top: `?` unknown, `.` free, `#` occupied."""
     codes = [{"?": 0, ".": 1, "#": 3}[c] for row in reversed(rows) for c in row]
     bits = bytearray(math.ceil(len(codes) / 4))
     for k, code in enumerate(codes):

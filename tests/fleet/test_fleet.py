@@ -1,4 +1,4 @@
-"""The fleet file: every mistake is told once, where it stands, and all of them in one run."""
+"""Fleet file: one run reports all errors, each once and at its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fleet file's `monitors`: names that the program has, actions that the robots have; each mistake at its place."""
+"""`monitors` of the fleet file: names of the program's properties, actions that robots have, errors at their places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Obstacles in the fleet file: boxes, spheres, cylinders, meshes, each mistake told where it stands."""
+"""Obstacles in the fleet file: boxes, spheres, cylinders and meshes, with errors at their places."""
 
 from __future__ import annotations
 

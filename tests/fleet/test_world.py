@@ -1,4 +1,4 @@
-"""The world of a fleet file, how its robots are simulated, and where they start."""
+"""World section of a fleet file, simulation settings of robots, and their starts."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_wall_across_is_a_closed_mesh_that_looks_outward() -> None:
 
 
 def _signed(a: list[float], b: list[float], c: list[float]) -> float:
-    """The volume of the tetrahedron over a face, positive where it looks outward."""
+    """Return the volume of the tetrahedron over a face; positive if the face's normal points outward."""
     cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
     return sum(x * y for x, y in zip(a, cross, strict=True)) / 6
 

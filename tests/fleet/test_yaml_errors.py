@@ -1,4 +1,4 @@
-"""Mistakes in the form of YAML are told alike with both parsers of PyYAML, with a place and a way out."""
+"""YAML syntax errors: equal messages for both parsers of PyYAML, with a place and a help text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user's own Python becomes in bundles, from the files of a build to a process."""
+"""The user's own Python files in bundles, from the files of a build to a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The build's budget and the robot's must give the same verdict."""
+"""Size limits of the build and of the robot: both give the same verdict."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_both_give_the_same_verdict(n_sys: int) -> None:
 
 @pytest.mark.parametrize("n_sys", [2, 5, 15, 16, 60, 90, 128])
 def test_both_give_the_same_verdict_on_the_whole_store(n_sys: int) -> None:
-    """Entries are short enough here; what a robot that comes back is given is not, by one character."""
+    """Log entries fit here; the state transfer to a robot that rejoins is too long by one character."""
     source = "  int i\n  bool b\nallread:\n  float f[N_SYS]\n  string t[N_SYS] max MAX\n"
     large = program(source.replace("MAX", "130500" if n_sys < 60 else "9000"))
     (found,) = check_budget(large, n_sys)
@@ -205,7 +205,7 @@ def test_bytes_of_every_type_are_those_that_robots_count() -> None:
 
 
 def test_no_value_within_its_bound_is_longer() -> None:
-    """The longest values there are, encoded."""
+    """Encodes the longest values of each type."""
     text, point = "x" * 40, Point(0.1, 0.2, 0.3)
     far = -(2**63)
     longest: dict[str, object] = {

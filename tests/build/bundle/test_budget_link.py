@@ -1,4 +1,4 @@
-"""What a fleet puts on its link: the arithmetic, its verdicts, and that it bounds what robots really send."""
+"""Traffic of a fleet on its link: arithmetic, diagnostics, and that the bound holds for real robots."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CALM = Medium(loss=0.0)
 
 
 def writing(characters: int) -> Program:
-    """Each robot writes all of its shared variables in every round, no byte of the text as it was."""
+    """Return a program in which each robot writes all its shared variables in every round, with new text each time."""
     return checked(f"""
 allread: string text[N_SYS] max {characters}
 allwrite: List<float> numbers max 3
@@ -35,7 +35,7 @@ Write:
 
 
 def sent_by_round(program: Program, n: int, conditions: Conditions, rounds: range) -> list[int]:
-    """Bytes on the medium in each round, headers included."""
+    """Return the bytes on the link in each round, headers included."""
     fleet = Fleet(n=n, program=generated(program), conditions=conditions)
     sent: dict[int, int] = {}
     send = fleet.network.send

@@ -1,4 +1,4 @@
-"""Drivers named in a fleet file are looked at before anything is built."""
+"""Driver classes named in a fleet file are checked before the build writes anything."""
 
 from __future__ import annotations
 

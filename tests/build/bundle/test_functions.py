@@ -1,4 +1,4 @@
-"""The Python beside a program is looked at before anything is built, and nothing that it does harms the build."""
+"""Functions files are checked before the build writes anything, and their code cannot harm the build."""
 
 from __future__ import annotations
 

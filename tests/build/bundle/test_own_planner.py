@@ -1,4 +1,4 @@
-"""A planner of the user's own and `avoid`, from the fleet file to a process in the bundle."""
+"""The user's own planner and `avoid`, from the fleet file to a process in the bundle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Port calls of an event against the time of a round: the worst case, told at the call."""
+"""Time of port calls against that of a round: the worst case, reported at the call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CALL = "Motion.path = Motion.planner(Point(1, 0, 0))"
 
 
 def calls(body: str, declared: str = "") -> str:
-    """The arithmetic that is told of an event, in a fleet of 4 robots, without the rest; empty when nothing is."""
+    """Return the arithmetic in the warning of an event, in a fleet of 4 robots; "" without a warning."""
     lines = "".join(f"    {line}\n" for line in body.split("\n"))
     program = checked(f"{MOTION}{declared}E:\n  pre: True\n  eff:\n{lines}")
     found = check_calls(program, 4, 0.1, 0.01)
