@@ -15,8 +15,8 @@ consistent.
 
 Raw UDP means blocking sockets, and the peers wait in the same way. Nearly all of that time is needed to wake an idle
 core: if both sides poll without a pause it takes a fifth or less, which is printed without a target. Ours polls for at
-most 0.2 ms before it sleeps, as long as that saves time (see "Sockets" in docs/shared-memory.md); this is the main
-reason for its shorter round trip.
+most 0.2 ms before it sleeps, as long as that saves time (see "Sockets" in docs/explanation/shared-memory.md); this is
+the main reason for its shorter round trip.
 
 Ours runs compiled, as on a robot after `--compile`; with `--interpreted` it does not. Figures are medians over runs
 that take turns. The peers are installed with `pip install 'koordgen[bench]'`; without them only our figures are

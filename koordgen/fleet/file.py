@@ -1,4 +1,4 @@
-"""Fleet file: the robots of a fleet, their world, and the settings that all robots share. See docs/fleet.md."""
+"""Fleet file: the robots of a fleet, their world, and settings that all robots share. See docs/reference/fleet.md."""
 
 from __future__ import annotations
 

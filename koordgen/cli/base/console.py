@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from koordgen.lang.diagnostics import Diagnostic
     from koordgen.lang.source import Source
 
-# Exit statuses of all commands, as in the table of docs/cli.md.
+# Exit statuses of all commands, as in the table of docs/reference/cli.md.
 HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 70, 130
 
 

@@ -1,5 +1,5 @@
-"""Writes docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether that is
-due.
+"""Writes docs/reference/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether
+that is due.
 
 What serves the machine alone is left out: the names of functions, the marks of inlining, and what stands for mistakes.
 """
@@ -14,16 +14,21 @@ from pathlib import Path
 from koordgen.lang import resources
 from koordgen.lang.syntax.generate import GRAMMAR
 
-PAGE = Path(__file__).parents[3] / "docs" / "grammar.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "grammar.md"
 
 _HEAD = """# Koord's grammar
 
-Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) says what each construct
-means. A program is a sequence of sections, each beginning at the left margin.
+Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language](language.md) explains
+each construct. A program is a sequence of sections, each beginning at the left margin.
 
-`"word"` stands for itself; `a*` none or more, `a+` one or more, `a?` one or none, `a | b` either. A `suite` of items is
-one on the header's line, or several on deeper lines, or both. NEWLINE ends a line outside of brackets that does not end
-in `\\`; INDENT and DEDENT stand where lines begin to be deeper and cease to be.
+| sign | meaning |
+|---|---|
+| `"word"` | stands for itself |
+| `a*`, `a+`, `a?` | none or more, one or more, one or none |
+| `a` \\| `b` | either |
+| a `suite` of items | one on the header's line, or several on deeper lines, or both |
+| NEWLINE | ends a line outside of brackets that does not end in `\\` |
+| INDENT, DEDENT | lines begin to be deeper, and cease to be |
 
 | | |
 |---|---|
