@@ -2,12 +2,12 @@
 
 Variants, which take turns in one run:
 
-    courier      the product: courier.c waits, receives and sends
-    no courier   Python's socket module, as on a computer without a C compiler
+    socket_batch      the product: socket_batch.c waits, receives and sends
+    no socket_batch   Python's socket module, as on a computer without a C compiler
 
 Three figures for each: time to consistency (median over robots and rounds), CPU of a robot's round (median over
 robots), and the round trip of an update between two robots. Each robot has its own process with the full stack of the
-shared memory, without an agent (see peers_memory). Ratios are relative to `courier`; more than 1 is slower.
+shared memory, without an agent (see peers_memory). Ratios are relative to `socket_batch`; more than 1 is slower.
 docs/adr/0048-what-each-part-in-c-buys.md has figures of other parts that once were in C.
 """
 
@@ -27,8 +27,8 @@ from benchmarks.peers_memory import open_memory, open_update
 from benchmarks.shared_memory import Failed, round_trip, rounds
 
 FLEETS = ((5, 0.1), (5, 0.01), (16, 0.01), (32, 0.05))  # robots, delta (s)
-BASE = "courier"
-VARIANTS = {BASE: True, "no courier": False}  # True if C code reads the sockets
+BASE = "socket_batch"
+VARIANTS = {BASE: True, "no socket_batch": False}  # True if C code reads the sockets
 
 
 def figures(variant: str, n: int, delta: float, count: int) -> dict[str, float]:

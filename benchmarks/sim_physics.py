@@ -27,10 +27,10 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.scenario import PYBULLET
 from targets.sim.physics.bullet import Bullet
 from targets.sim.physics.car import SimulatedCar
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import STEP, World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import STEP, SimulatedWorld
 
 Step = Callable[[], object]
 
@@ -71,9 +71,9 @@ def grid(count: int, height: float) -> list[tuple[float, float, float]]:
     return [(2.0 * (k % side), 2.0 * (k // side), height) for k in range(count)]
 
 
-def quads(count: int) -> tuple[World, Step]:
+def quads(count: int) -> tuple[SimulatedWorld, Step]:
     """Return quads with full dynamics that fly to and fro; each gets a command and returns its state in every step."""
-    world = World()
+    world = SimulatedWorld()
     flown = [SimulatedQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
         quad.motors(True)
@@ -89,9 +89,9 @@ def quads(count: int) -> tuple[World, Step]:
     return world, step
 
 
-def simple_quads(count: int) -> tuple[World, Step]:
+def simple_quads(count: int) -> tuple[SimulatedWorld, Step]:
     """Return quads with simple dynamics, used as `quads`."""
-    world = World()
+    world = SimulatedWorld()
     flown = [SimpleQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
         quad.motors(True)
@@ -107,9 +107,9 @@ def simple_quads(count: int) -> tuple[World, Step]:
     return world, step
 
 
-def cars(count: int, make: type[SimulatedCar] | type[SimpleCar]) -> tuple[World, Step]:
+def cars(count: int, make: type[SimulatedCar] | type[SimpleCarBody]) -> tuple[SimulatedWorld, Step]:
     """Return cars that drive in circles; each gets a command and returns its state in every step."""
-    world = World()
+    world = SimulatedWorld()
     driven = [make(world, place, 0.1, 0.33, 0.4) for place in grid(count, 0.0)]
 
     def step() -> None:
@@ -208,7 +208,7 @@ class Lidars:
 
 def lidars(count: int, turns: int) -> Lidars:
     """Measure a turn of the lidars, see Lidars."""
-    world = World(engine=PYBULLET)
+    world = SimulatedWorld(engine=PYBULLET)
     for obstacle in ROOM:
         world.obstacle(obstacle)
     driven: list[SimulatedCar] = []
@@ -224,7 +224,7 @@ def lidars(count: int, turns: int) -> Lidars:
     eyes = []
     for car in driven:
         motion = car.motion()
-        eyes.append(Eye((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
+        eyes.append(LidarMount((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
         world.engine.take(
             car.rigid.number, motion.position, motion.orientation
         )  # PyBullet's rays use the poses in the engine
@@ -232,9 +232,11 @@ def lidars(count: int, turns: int) -> Lidars:
     def theirs() -> list[list[float]]:
         return [_cast(world, bullet, own, eye) for eye in eyes]
 
-    ours, single, other = timed([lambda: world.look(eyes), lambda: world.look(eyes[:1]), theirs], turns, 2)
+    ours, single, other = timed([lambda: world.cast_rays(eyes), lambda: world.cast_rays(eyes[:1]), theirs], turns, 2)
     pair = Pair(f"lidars, {RAYS} rays", ours / count, "rayTestBatch", other / count, 30.0)
-    worst = [_apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.look(eyes), theirs(), strict=True)]
+    worst = [
+        _apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.cast_rays(eyes), theirs(), strict=True)
+    ]
     world.close()
     geometry, faces, rounded = zip(*worst, strict=True)
     return Lidars(pair, single, max(geometry), _near(faces), _near(rounded))
@@ -246,7 +248,7 @@ def _near(apart: Sequence[list[float]]) -> float:
     return sum(a < MILLIMETRE for a in each) / len(each)
 
 
-def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[float]:
+def _cast(world: SimulatedWorld, bullet: Any, own: dict[str, int], eye: LidarMount) -> list[float]:
     """Cast PyBullet's rays, with the robot itself hidden from them."""
     x, y, z = eye.place
     assert isinstance(world.engine, Bullet)
@@ -258,7 +260,7 @@ def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[floa
     return [share * eye.range if hit >= 0 else math.inf for hit, _, share, *_ in found]
 
 
-def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
+def _apart(eye: LidarMount, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
     """Return the greatest difference of ours from plane geometry, and theirs from ours at faces and at round bodies.
 
     See Lidars. Rays that meet a car are not compared.
@@ -290,7 +292,7 @@ def _slope(ranges: list[float], i: int) -> float:
 def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list[str]]:
     """Compare ours with the peers at so many robots. Return the pairs, and the peers that were left out."""
     pairs, left = [], []
-    world, simple = cars(count, SimpleCar)
+    world, simple = cars(count, SimpleCarBody)
     end, step = racecars(count)
     ours, theirs = timed([simple, step], turns, 20)
     pairs.append(Pair("cars, simple", ours, "racecar URDF", theirs, 25.0))
@@ -316,11 +318,11 @@ def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list
 
 def factors(counts: tuple[int, ...], turns: int) -> dict[str, dict[int, float]]:
     """Return the factor to real time of the physics alone, by kind and number of robots."""
-    kinds: dict[str, Callable[[int], tuple[World, Step]]] = {
+    kinds: dict[str, Callable[[int], tuple[SimulatedWorld, Step]]] = {
         "quads, full": quads,
         "quads, simple": simple_quads,
         "cars, full": lambda count: cars(count, SimulatedCar),
-        "cars, simple": lambda count: cars(count, SimpleCar),
+        "cars, simple": lambda count: cars(count, SimpleCarBody),
     }
     found: dict[str, dict[int, float]] = {}
     for name, make in kinds.items():

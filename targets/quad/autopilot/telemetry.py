@@ -155,11 +155,11 @@ class Telemetry:
 
     @property
     def flying(self) -> bool:
-        """Whether the vehicle is armed and off the ground."""
+        """Return whether the vehicle is armed and off the ground."""
         return self.armed and self.landed is not None and self.landed != mavlink.MAV_LANDED_STATE_ON_GROUND
 
     def fresh(self, now: float, age: float = 0.5) -> bool:
-        """Whether the position is not older than `age` seconds."""
+        """Return whether the position is not older than `age` seconds."""
         return self.time is not None and now - self.time <= age
 
     @property

@@ -294,7 +294,7 @@ class Rejoin:
         return min(tight, reference.rate * allowed / speed)
 
     def _free(self, start: Point, end: Point) -> Point:
-        """The farthest of some points on the line from `start` to `end` up to which the line is clear."""
+        """Return the farthest of some points on the line from `start` to `end` up to which the line is clear."""
         if self._ways.clear(start, end, RUNNING):
             return end
         low, high = 0.0, 1.0

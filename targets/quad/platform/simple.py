@@ -15,9 +15,9 @@ from typing import Protocol
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.datagrams import DatagramLink
-from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from koordgen.runtime.vehicle.scans import listen_for_scans
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
 from targets.planning.process import Beside, bounded
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.avoidance import MakePlanning
@@ -88,7 +88,7 @@ class SimpleMotion(Motion):
 
 
 def turning(yaw: float | None, wanted: float | None) -> float:
-    """The yaw rate towards a heading."""
+    """Return the yaw rate towards a heading."""
     if yaw is None or wanted is None:
         return 0.0
     off = (wanted - yaw + math.pi) % math.tau - math.pi
@@ -210,8 +210,8 @@ class SimpleQuad(Quad):
         self._avoidance.close()
 
 
-def inside(settings: Settings, key: bytes | None, surroundings: Inside, flyer: Flyer) -> SimpleQuad:
-    """In a simulator that owns time; see koordgen.runtime.vehicle.inside."""
+def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, flyer: Flyer) -> SimpleQuad:
+    """In a simulator that owns time; see koordgen.runtime.vehicle.simulator_services."""
     return SimpleQuad(
         settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
     )  # fmt: skip
