@@ -88,7 +88,7 @@ LEFT: dict[str, tuple[int, int]] = {
     "targets/mavlink": (7, 6),
     "targets/planning": (11, 13),
     "targets/quad": (33, 26),
-    "targets/sim": (75, 5),
+    "targets/sim": (75, 4),
 }
 
 # Rooms in which a class name may occur once each, with the reason.
