@@ -36,7 +36,7 @@ def check_drivers(
 
 
 def own_class(driver: DriverClass, methods: tuple[str, ...], program: Program, folders: list[Path]) -> str:
-    """Return a message about the flaw of a user's class, or "".
+    """Return a message that says why a user's class does not fit, or "".
 
     The class must be constructible with one argument and have these methods.
     """

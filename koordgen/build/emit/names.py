@@ -97,7 +97,7 @@ class Names:
         return name
 
     def attempt(self) -> Names:
-        """Return the same names with a separate record of used names, for text that may be dropped."""
+        """Return the same names with their own record of used names, for text that may not be emitted in the end."""
         made = copy.copy(self)
         made.used = set()
         return made

@@ -72,7 +72,7 @@ def print_diagnostics(found: Collection[tuple[Source, Diagnostic]], options: Nam
 
 
 def output(options: Namespace) -> TextIO | None:
-    """Return the stream for a command's other output: None (standard output), or stderr beside JSON or SARIF."""
+    """Return the stream for other output: None (standard output) in text format, stderr in JSON and SARIF."""
     return None if options.format == "text" else sys.stderr
 
 
