@@ -31,7 +31,7 @@ def read(folder: Path) -> tuple[list[str], list[complex], str]:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def fitted(places: list[complex]) -> tuple[complex, complex]:
@@ -46,7 +46,7 @@ def fitted(places: list[complex]) -> tuple[complex, complex]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python formation_verdict.py DIR (the folder that a run of Formation left)", file=sys.stderr)
+        print("usage: python formation_verdict.py DIR (the folder of a run of Formation)", file=sys.stderr)
         return 2
     try:
         names, places, flaw = read(Path(argv[0]))
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
         print(f"{name:8} {far:.3f} m off its corner")
     reasons = [f"{name} is {far:.2f} m off its corner" for name, far in zip(names, off, strict=True) if far > OFF]
     if turned < TURNED:
-        reasons.append(f"it has turned by {turned:.2f} rad only")
+        reasons.append(f"the polygon has turned by only {turned:.2f} rad")
     if flaw:
         reasons.append(flaw)
     print("Formation: a polygon" if not reasons else f"Formation: NO: {'; '.join(reasons)}")

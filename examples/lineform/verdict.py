@@ -51,7 +51,7 @@ def read(folder: Path) -> Run:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
@@ -79,7 +79,7 @@ def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
         if record["t"] <= end:
             ends[pid] = (x, y)
     if len(names) < 3 or None in starts or None in ends or not math.isfinite(separation):
-        raise ValueError("LineForm is judged on three robots or more, and on poses of all of them")
+        raise ValueError("the verdict needs three robots or more, and poses of all of them")
     flaw = "" if summary["verdict"] == "held" else f"the run itself: {summary['verdict']}, {summary['why']}"
     return Run(names, [s for s in starts if s], [e for e in ends if e], separation, flaw)
 
@@ -120,7 +120,7 @@ def judge(run: Run) -> list[Figures]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python verdict.py DIR (the folder that a run of LineForm left)", file=sys.stderr)
+        print("usage: python verdict.py DIR (the folder of a run of LineForm)", file=sys.stderr)
         return 2
     try:
         run = read(Path(argv[0]))

@@ -111,9 +111,9 @@ def read(folder: Path) -> Run:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
     if not maps:
-        raise Unusable(f"{folder}: nobody handed in a map")
+        raise Unusable(f"{folder}: no robot wrote a map")
     flaw = "" if summary["verdict"] == "held" else f"the run itself: {summary['verdict']}, {summary['why']}"
     return Run(shapes, list(starts.values()), maps, flaw)
 
@@ -194,7 +194,7 @@ def main(argv: list[str]) -> int:
     picture = argv[2] if len(argv) == 3 and argv[1] == "--picture" else ""
     if not argv or argv[0].startswith("-") or len(argv) != (3 if picture else 1):
         print(
-            "usage: python mapping_verdict.py DIR [--picture FILE] (the folder that a run of Mapping left)",
+            "usage: python mapping_verdict.py DIR [--picture FILE] (the folder of a run of Mapping)",
             file=sys.stderr,
         )
         return 2

@@ -50,7 +50,7 @@ def read(folder: Path) -> tuple[Seen, dict[str, Any]]:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def _seen(records: list[dict[str, Any]]) -> Seen:
@@ -95,7 +95,7 @@ def judge(seen: Seen, summary: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python task_verdict.py DIR (the folder that a run of Task left)", file=sys.stderr)
+        print("usage: python task_verdict.py DIR (the folder of a run of Task)", file=sys.stderr)
         return 2
     try:
         seen, summary = read(Path(argv[0]))

@@ -162,5 +162,5 @@ def test_formation(off: float, turned: float, status: int, tmp_path: Path, capsy
 def test_files_that_cannot_be_used_are_told(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert script(name).main([str(tmp_path)]) == 1 and "No such file" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("{")
-    assert script(name).main([str(tmp_path)]) == 1 and "not what a run leaves" in capsys.readouterr().err
+    assert script(name).main([str(tmp_path)]) == 1 and "not the folder of a run" in capsys.readouterr().err
     assert script(name).main([]) == 2
