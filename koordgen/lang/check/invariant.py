@@ -1,4 +1,4 @@
-"""Loop invariants: where one may stand, what it may read, and `old(x)`, a variable's value where the loop begins."""
+"""Loop invariants: their position, the names that they may read, and `old(x)`, a variable's value before the loop."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ _LEAST = "it is evaluated behind the last turn, too, where there is no element: 
 
 
 def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
-    """The invariants at the head of a loop's block, and the other statements. A line among them that could not be read
-    may have been one."""
+    """Split a loop's block into the invariants at its head and the other statements.
+
+    A line that could not be parsed does not end the head: it may be an invariant.
+    """
     head = (tree.Invariant, tree.BrokenStmt)
     count = next((i for i, statement in enumerate(block) if not isinstance(statement, head)), len(block))
     invariants = tuple([s for s in block[:count] if isinstance(s, tree.Invariant)])
@@ -31,8 +33,11 @@ def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
 def check_invariants(
     written: tuple[tree.Invariant, ...], c: Context, out: Out, hidden: tuple[str, ...] = (), own: tuple[str, ...] = ()
 ) -> Invariants:
-    """The typed invariants of a loop; a `Let` for each `old(x)` goes to `out`, before the loop. `hidden` are the temps
-    of the loop that no invariant may read, `own` those that begin with the loop and have no old value."""
+    """Return the typed invariants of a loop. Appends a `Let` for each `old(x)` to `out`, before the loop.
+
+    `hidden` has the loop's temps that no invariant may read. `own` has the temps that begin with the loop, and so have
+    no old value.
+    """
     if not written:
         return ()
     around = c.entry
@@ -56,7 +61,7 @@ def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead
 
 
 def check_old(node: ast.Call, c: Context) -> ir.Expr:
-    """`old(x)` in a loop invariant: a read of the temp that has the value of `x` where the loop begins."""
+    """Check `old(x)` in a loop invariant. Returns a read of the temp that saves the value of `x` before the loop."""
     if c.entry is None:
         help = "outside of one, keep the value in a variable: int before = x"
         return c.error("K058", "'old' has a meaning in loop invariants only", node.span, help)
@@ -86,7 +91,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
 
 
 def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
-    """Report the call of a port in a loop invariant."""
+    """Report a call of a port in a loop invariant."""
     help = f"ask before the loop and keep the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
 

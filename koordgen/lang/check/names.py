@@ -1,4 +1,4 @@
-"""Who owns a name: variables, params, modules, functions, records and extern types share one space."""
+"""Declarations of names. Variables, params, modules, functions, records and extern types share one namespace."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ Owner = (
 
 
 def claim(program: ast.Program, c: Context) -> None:
-    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, or the
-    first is the language's own, nobody knows what the uses mean, and they are no more mistakes."""
+    """Give each name to its first declaration in the text, and report every further one.
+
+    If two declarations of a name differ, or the name is predefined, its uses are ambiguous and are not reported.
+    """
     kinds: dict[str, str] = {}  # of the variables
     for section in program.sections:
         match section:
@@ -56,24 +58,27 @@ def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) 
 
 
 def reserved(name: str) -> bool:
-    """Whether no declaration may have a name. What a builtin function is called is free, as in Python: 2020 programs
-    have variables called `sum`; types and the values they make are not."""
+    """Return whether a name is reserved: no declaration may have it.
+
+    Names of builtin functions are free, as in Python, because 2020 programs have variables called `sum`. Names of types
+    are reserved, also where they make values, as `Point` does.
+    """
     return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
 
 
 def owns(name: str, node: Owner, c: Context) -> bool:
-    """Whether a declaration is the one that its name means."""
+    """Return whether a name belongs to this declaration, and not to an earlier one."""
     return c.owners.get(name) is node
 
 
 def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
-    """Make a declaration known, if its name is its own; None: of a wrong type."""
+    """Record a declaration's entity if the name belongs to it. None: the declaration is wrong."""
     if c.owners.get(name) is node and c.entities.get(name, c) is not None:
         c.entities[name] = entity
 
 
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
-    """Whether a name is new among its like, of which there is a space of their own."""
+    """Return whether a name is new in a namespace of its own, such as a record's fields; report it otherwise."""
     first = seen.setdefault(name, span)
     if first is span:
         return True

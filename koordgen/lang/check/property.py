@@ -1,4 +1,4 @@
-"""Properties: what initially holds, what is to hold always, what is known of spec functions."""
+"""Properties: initial conditions, invariants, and axioms about spec functions."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
 from koordgen.lang.syntax.walk import parts
 
-_HANDED = (POINT, list_of(GRID))  # to a PathPlanner
+_HANDED = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner
 
 
 def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
-    """The properties in the order of their writing."""
+    """Check all properties and return them in the order of the text."""
     found = []
     seen: dict[str, Span] = {}
     for node in sections:
@@ -32,8 +32,10 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
 
 
 def goal(name: str, span: Span, c: Context) -> Temp | None:
-    """Of a name that nothing has, in an assumption that hands it to a callable port of its module: from then on it
-    stands for every value that can be handed over there."""
+    """Bind an undefined name that an assumption passes to a callable port of its module; None if it does not.
+
+    From then on the name stands for every value that the port takes in this place.
+    """
     module = c.entities.get(c.module)
     if not isinstance(module, decl.Module) or c.program is None:
         return None
@@ -50,8 +52,10 @@ def goal(name: str, span: Span, c: Context) -> Temp | None:
 
 
 def any_value(name: str, span: Span, c: Context) -> Temp | None:
-    """Of a name that nothing has, in an axiom that hands it to a function of the program: from then on it stands for
-    every value that the function takes there."""
+    """Bind an undefined name that an axiom passes to a function of the program; None if it does not.
+
+    From then on the name stands for every value of the parameter's type.
+    """
     if c.program is None:
         return None
     at = span.line, span.column
@@ -67,7 +71,7 @@ def any_value(name: str, span: Span, c: Context) -> Temp | None:
 
 
 def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
-    """The types of the parameters for which a name stands that no quantifier binds there."""
+    """Yield the type of each function parameter for which a name is passed that no quantifier binds."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call) and isinstance(node.function, tree.Name):
@@ -81,7 +85,7 @@ def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
 
 
 def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
-    """As which arguments of the module's callable ports a name stands that no quantifier binds there."""
+    """Yield the index of each argument of the module's callable ports that is this name, not bound by a quantifier."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call):
@@ -97,5 +101,5 @@ def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[i
 
 
 def _of(module: str, function: tree.Expr) -> bool:
-    """Whether a port is the module's: by its bare name, or behind the module's."""
+    """Return whether a call names a port of the module: as `port` or as `module.port`."""
     return not isinstance(function, tree.Attribute) or function.value == tree.Name(module, function.span)

@@ -1,4 +1,4 @@
-"""Types as they are written -> types of the IR, and how much a variable of one may hold."""
+"""Types of the syntax tree to types of the IR, and the capacities of variables."""
 
 from __future__ import annotations
 
@@ -36,12 +36,14 @@ _MEANT = {
     "list": "List", "dict": "Map", "tuple": "(A, B)", "Tuple": "(A, B)",
 }  # fmt: skip
 _LOCAL = {"string": LOCAL_BYTES, "GridMap": LOCAL_CELLS, "Scan": LOCAL_RAYS}
-_DEEPEST = 20  # of types within types
+_DEEPEST = 20  # nesting of types
 
 
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
-    """The type that is meant; POISON where it is none, which has been reported then. Its capacities are those of shared
-    variables. Only a port may be a PathPlanner or a stream."""
+    """Return the type of the IR; POISON after reporting a type that does not exist.
+
+    Its capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
+    """
     if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, port)
     return _composed(node, c, 0)
@@ -120,7 +122,7 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
 
 
 def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, depth: int) -> Type:
-    """`T[]`: one note for all brackets and old words of it."""
+    """Resolve `T[]` of the 2020 dialect, with a single note for its brackets and old type names."""
     type_ = dialect_element(element, c, depth)
     if type_ == POISON:
         return POISON
@@ -130,7 +132,7 @@ def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, de
 
 
 def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
-    """The T of a `T[]`, without notes: they are part of the whole's."""
+    """Resolve the T of a `T[]`, without notes: the note about the whole type covers them."""
     before = len(c.found)
     type_ = _resolve(element, c, depth)
     c.found[before:] = [d for d in c.found[before:] if d.code != "K050"]
@@ -138,7 +140,7 @@ def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
 
 
 def per_robot(size: ast.Expr, c: Context) -> bool:
-    """Whether the size of an array is N_SYS, also as the 2020 dialect calls it, which is noted."""
+    """Return whether the size of an array is N_SYS. Reports the 2020 dialect's names of it."""
     name = size.name if isinstance(size, ast.Name) else ""
     if name in ("numAgents", "numBots"):
         c.modern(name, "N_SYS", size.span)
@@ -146,8 +148,11 @@ def per_robot(size: ast.Expr, c: Context) -> bool:
 
 
 def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
-    """The type with the capacities that are declared for it, in pre-order; or else with those of local variables, or of
-    shared ones. Fields of records have their own."""
+    """Return the type with its declared capacities, which stand in pre-order.
+
+    Without declared capacities it has the default ones, of local or of shared variables. Fields of records have their
+    own.
+    """
     if not capacities:
         return _sized(type_, None) if local else type_
     wanted = _bearing(type_)
@@ -177,7 +182,7 @@ def _capacity(node: ast.Expr, c: Context) -> int | None:
 
 
 def _bearing(type_: Type) -> int:
-    """How many capacities a type takes."""
+    """Return the number of capacities that a type takes."""
     match type_:
         case Sized():
             return 1
@@ -192,7 +197,7 @@ def _bearing(type_: Type) -> int:
 
 
 def _sized(type_: Type, given: Iterator[int] | None) -> Type:
-    """The type with the next of the given capacities, or with those of local variables."""
+    """Return the type with the next given capacities; with the defaults of local variables if `given` is None."""
     match type_:
         case Sized(name):
             return Sized(name, _LOCAL[name] if given is None else next(given))

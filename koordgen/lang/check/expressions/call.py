@@ -1,4 +1,4 @@
-"""Calls: builtins, methods, functions of the program's own, extern functions, callable ports, records."""
+"""Calls of builtins, methods, functions, extern functions, callable ports and records."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 
 
 def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
-    """Check the arguments of what cannot be called: they may have mistakes of their own. Return them."""
+    """Check and return the arguments of a wrong call, because they may have errors of their own."""
     checked = []
     for arg in node.args:
         value = arg.value if isinstance(arg, ast.Keyword) else arg
@@ -141,8 +141,10 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 def positional(
     node: ast.Call, name: str, count: Many[int], takes: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
-    """Return the arguments of what takes no names, which are not checked yet; or poison after reporting that they are
-    too many, too few, or named."""
+    """Return the unchecked arguments of a call that takes no names.
+
+    Returns poison after reporting that they are too many, too few, or named. `count` has the allowed numbers.
+    """
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
             args = skip(node, c)
@@ -160,7 +162,7 @@ def positional(
 def _handed(
     nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
-    """Return the arguments of known types; those that are wrong are poison."""
+    """Check arguments against the types of the parameters and return them; wrong ones become poison."""
     args = []
     for node, type_ in zip(nodes, types, strict=True):
         value = check_expr(node, c, type_)
@@ -171,7 +173,7 @@ def _handed(
 
 
 def _explain(before: int, takes: str, c: Context) -> None:
-    """Says what a function takes beside what was found of an argument, unless there is a better help."""
+    """Add `takes` as the help of all diagnostics since number `before` that have no help."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
             c.found[position] = replace(c.found[position], help=takes)
@@ -217,7 +219,7 @@ def _applied(
     name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
     first: ir.Expr | None = None,
 ) -> ir.Expr:  # fmt: skip
-    """A builtin with one signature; `first` is the object of a method."""
+    """Check a call of a builtin with a single signature. `first` is the object if it is a method."""
     bound: Bound = {}
     args: list[ir.Expr] = []
     poisoned = False
@@ -279,7 +281,7 @@ def _unknown(name: str, c: Context) -> bool:
 
 
 def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
-    """Report that a value has no such method, with what may have been meant."""
+    """Report that a value has no such method, and suggest what to write."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
     word = word_of(type_)
     if field_of(type_, name) is not None:
@@ -303,7 +305,7 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
     c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
 
 
-# What the program declares
+# Functions, ports and records that the program declares
 
 
 def _function(
@@ -365,7 +367,10 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
 
 
 def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
-    """`Task(target=p)`: by position, then by name; the rest is as the record declares it."""
+    """Check a call that makes a record, as `Task(target=p)`: values by position, then by name.
+
+    Fields without a value get the initial values that the record declares.
+    """
     type_ = record.type
     names = [name for name, _ in type_.fields]
     given: dict[str, ir.Expr] = {}
@@ -401,7 +406,7 @@ def _field(
     record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
     c: Context,
 ) -> bool:  # fmt: skip
-    """Whether a field's value is right; it is `given` then."""
+    """Return whether a field's value is right. Adds it to `given`."""
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
@@ -415,16 +420,19 @@ def _field(
     return checked.type is not POISON
 
 
-# Signatures with type variables against the types of arguments.
+# Match signatures that have type variables with the types of arguments.
 
-Bound = dict[str, Type]  # a variable's name -> the type that it stands for
+Bound = dict[str, Type]  # name of a type variable -> type bound to it
 _VARIABLES = {variable.name for variable in VARIABLES}
 _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or string"}
 
 
 def bind(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
-    """The value as what a signature takes there, an int widened to a float where one is wanted; None where it does not
-    fit. What the variables of the pattern stand for is added to `bound` where it does."""
+    """Match an argument with the pattern of its parameter; None if it does not match.
+
+    Returns the value, widened to a float if the pattern asks for one. Adds the types of the pattern's variables to
+    `bound`.
+    """
     type_ = value.type
     if type_ is pattern:
         return value
@@ -468,7 +476,7 @@ def _admits(variable: Scalar, type_: Type) -> bool:
 
 
 def filled(pattern: Type, bound: Bound) -> Type | None:
-    """The pattern with its variables replaced; None where one of them stands for nothing yet."""
+    """Return the pattern with its type variables replaced; None if one of them is not bound yet."""
     match pattern:
         case Scalar(name):
             return bound.get(name) if name in _VARIABLES else pattern
@@ -486,7 +494,7 @@ def filled(pattern: Type, bound: Bound) -> Type | None:
 
 
 def shown(signature: Signature, skip: int = 0) -> str:
-    """What a builtin takes, in words: "(Point, Point)"; `skip` leaves out the object of a method."""
+    """Return the parameters of a builtin as text: "(Point, Point)". `skip`: how many to leave out; 1 for a method."""
     return f"({', '.join(_shown(arg) for arg in signature.args[skip:])})"
 
 

@@ -1,4 +1,4 @@
-"""Displays, indices, slices, `in`, and what loops and quantifiers run over."""
+"""Displays, indices, slices, `in`, quantifiers, and the domains of loops and quantifiers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _INTS = list_of(INT)
 
 
 def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`[a, b]`: a List, or a Queue or Set where one is wanted."""
+    """Check `[a, b]`: a List, or a Queue or Set if one is expected."""
     name = wanted.name if isinstance(wanted, Sequence) else "List"
     element = wanted.element if isinstance(wanted, (Sequence, PerRobot)) else None
     if not node.items and element is None:
@@ -57,7 +57,7 @@ def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) ->
 
 
 def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`{a, b}`"""
+    """Check `{a, b}`."""
     element = wanted.element if isinstance(wanted, Sequence) and wanted.name == "Set" else None
     made = _sequence("Set", node.items, element, node.span, c)
     if isinstance(made.type, Sequence) and not is_key(made.type.element):
@@ -66,7 +66,7 @@ def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`{k: v}`, and `{}`, an empty map or set as is wanted."""
+    """Check `{k: v}`, and `{}`, which is an empty Map or Set, whichever is expected."""
     if not node.items and isinstance(wanted, Sequence) and wanted.name == "Set":
         return ir.Make((), wanted, node.span)
     kinds: list[Type | None] = [wanted.key, wanted.value] if isinstance(wanted, MapOf) else [None, None]
@@ -86,7 +86,7 @@ def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`(a, b)`"""
+    """Check `(a, b)`."""
     parts: tuple[Type | None, ...] = (None,) * len(node.items)
     if isinstance(wanted, TupleOf) and len(wanted.items) == len(node.items):
         parts = wanted.items
@@ -107,8 +107,10 @@ def _sequence(name: str, nodes: tuple[ast.Expr, ...], element: Type | None, span
 
 
 def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr]:
-    """Return the items of a display, all of one type: the wanted one, or else the first one's (with floats, ints
-    widen). One that is wrong is poison."""
+    """Return the items of a display, all of one type: `type_`, or else the type of the first item.
+
+    Ints are widened if an item is a float. Wrong items become poison.
+    """
     if type_ is not None:
         return [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
     typed = next((node for node in nodes if not is_display(node)), nodes[0])
@@ -126,7 +128,7 @@ def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Contex
 
 
 def _whole(value: ir.Expr, c: Context) -> ir.Expr:
-    """A part of a composed value: not one value a robot."""
+    """Return a part of a composed value; report an allread variable without an index."""
     return per_robot(value, c) if isinstance(value.type, PerRobot) else value
 
 
@@ -167,7 +169,7 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
 
 
 def robot(node: ast.Expr, c: Context) -> ir.Expr:
-    """A robot's index in a property."""
+    """Check the index of a robot in a property."""
     return fitting(check_expr(node, c), INT, "an index", c)
 
 
@@ -193,14 +195,14 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
             message = f"an initial value cannot depend on the variable {name}"
             return c.error("K025", message, node.span, "set it in init")
         case "function" | "contract" | "assume":
-            return check_expr(node.value, c)  # which says why not
+            return check_expr(node.value, c)  # reports why the variable cannot be read
         case "init" if not isinstance(index, ir.Pid):
             return shared_in_init(c.text(node.span), node.span, c)
     return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
 
 
 def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir.Expr:
-    """`operand[index]` of a value."""
+    """Return `operand[index]`, typed."""
     match operand.type:
         case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
             pass
@@ -261,7 +263,7 @@ def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.E
 
 
 def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c: Context) -> ir.Expr:
-    """`item in values`, `item not in values`."""
+    """Check `item in values` and `item not in values`."""
     if is_display(second) and not is_display(first):
         item = check_expr(first, c)
         known = item.type is FLOAT or not second.items
@@ -287,7 +289,7 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
 
 
 def _held(type_: Type) -> Type | None:
-    """Of what type that is which can be in a value."""
+    """Return the type of the elements of a value: `T` if `x in value` takes an x of type T; None if it has none."""
     match type_:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
             return held
@@ -295,11 +297,11 @@ def _held(type_: Type) -> Type | None:
             return POINT if type_ is RECT or type_ is BALL else type_ if type_ == STRING else None
 
 
-# What loops and quantifiers run over
+# Domains of loops and quantifiers
 
 
 def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
-    """`range(...)`, or a value with elements."""
+    """Check the domain of a loop or quantifier: `range(...)`, or a value with elements."""
     if isinstance(node, ast.Call) and isinstance(node.function, ast.Name) and node.function.name == "range":
         return _range(node, c)
     values = check_expr(node, c)
@@ -310,7 +312,7 @@ def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
 
 
 def elements(values: ir.Expr) -> Type:
-    """The type of what a loop over them takes one by one."""
+    """Return the type of the elements over which a loop iterates."""
     match values.type:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
             return held
@@ -343,7 +345,7 @@ def _step(node: ir.Expr) -> int:
 
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Several names arrive nested, each over the same domain."""
+    """Check a quantifier. One with several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume") and c.entry is None:
         help = "a loop goes through them: 'for i in ID:'"
         message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
@@ -361,8 +363,11 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
 
 
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
-    """A new name for the innermost block; None after reporting that it is taken (its uses are then of the new type).
-    In a function it may be that of a variable or module, which functions cannot read anyway."""
+    """Declare a temp in the innermost block; None after reporting that its name is taken.
+
+    Even then uses of the name have the new type, unless it is another temp's name. In a function a temp may have the
+    name of a variable or module, because functions cannot read those.
+    """
     temp = Temp(c.mint(name), type_, span)
     earlier, entity = c.temp(name), c.entities.get(name)
     unseen = bool(c.function) and isinstance(entity, (Local, Shared, Module))

@@ -1,5 +1,8 @@
-"""Words and marks of the 2020 dialect among expressions and statements: each is noted, with the edits that modernise
-it, and means what its modern form means. A name of the program's own is no word of the dialect."""
+"""Spellings of the 2020 dialect in expressions and statements.
+
+Each is reported with the edits that modernise it, and has the meaning of its modern form. A name that the program
+declares is not a word of the dialect.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ FUNCTIONS = {"pos3d": "Point", "midpoint": "(p + q) / 2"}
 
 
 def old_name(node: ast.Name, c: Context) -> ast.Expr:
-    """The modern form of one of VALUES."""
+    """Return the modern form of a name in `VALUES`."""
     new = VALUES[node.name]
     c.modern(node.name, new, node.span)
     return ast.Name(new, node.span) if new == "N_SYS" else ast.Literal(new == "True", node.span)
@@ -28,7 +31,7 @@ def modern_not(node: ast.Unary, c: Context) -> None:
 
 
 def modern_logic(node: ast.Logic, c: Context) -> str:
-    """The modern form of the operator."""
+    """Return the modern form of an operator: `and` for `&&`, `or` for `||`."""
     if node.op == "and" or node.op == "or":
         return node.op
     new = "and" if node.op == "&&" else "or"
@@ -40,7 +43,7 @@ def modern_logic(node: ast.Logic, c: Context) -> str:
 
 
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
-    """The modern form of a call of one of FUNCTIONS; None where it is not called as the dialect does."""
+    """Return the modern form of a call of a function in `FUNCTIONS`; None if its arguments are not the dialect's."""
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None
     if name.name == "pos3d":
@@ -61,7 +64,7 @@ def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
 
 
 def old_for(node: tree.CountedFor, c: Context) -> tree.For:
-    """`for i = a, b:` as `for i in range(a, b + 1):`."""
+    """Return the modern form of `for i = a, b:`, which is `for i in range(a, b + 1):`."""
     edits = [Edit(_between(node.name.span, node.first.span), " in range(")]
     if _loose(node.last):
         edits.append(Edit(Span(*_start(node.last.span), *_start(node.last.span)), "("))
@@ -79,7 +82,7 @@ def _start(span: Span) -> tuple[int, int]:
 
 
 def _end(span: Span) -> Span:
-    """The empty place behind a span."""
+    """Return the empty span after a span."""
     return Span(span.end_line, span.end_column, span.end_line, span.end_column)
 
 
@@ -88,7 +91,7 @@ def _between(first: Span, second: Span) -> Span:
 
 
 def _loose(node: ast.Expr) -> bool:
-    """Whether an expression binds looser than `+`, and stands without parentheses or may do so."""
+    """Return whether an expression binds looser than `+`, so that it may need parentheses beside a `+`."""
     return isinstance(node, (ast.Conditional, ast.Logic, ast.Compare, ast.Quantified)) or (
         isinstance(node, (ast.Unary, ast.Binary)) and node.op in ("not", "!", "<<")
     )

@@ -1,4 +1,4 @@
-"""Expressions: the type of every node, by the class of its syntax tree."""
+"""Expressions: operators, literals, conditionals, and the table that dispatches to the checker of each node class."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
-    """Return `left op right`, typed. That a divisor differs from zero is known here only of a number."""
+    """Return `left op right`, typed. Only literal divisors are marked as non-zero here; the analysis finds others."""
     first, second = left.type, right.type
     if first is POISON or second is POISON:
         return c.poison(span, left, right)
@@ -134,7 +134,7 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
 
 
 def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
-    """The help for a text and a value that is none, joined with '+'."""
+    """Return the help for a string joined by `+` with a value that is not a string."""
     value = right if left.type == STRING else left
     if value.type in (*NUMBERS, BOOL, POINT):
         text = c.text(value.span)
@@ -143,7 +143,10 @@ def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
 
 
 def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
-    """A chain is the `and` of its pairs: an expression evaluated twice gives the same twice, calls of ports apart."""
+    """Check a comparison. A chain is the `and` of its pairs, so its inner operands are evaluated twice.
+
+    This gives the same value twice, except for calls of ports, which a chain cannot have there.
+    """
     if len(node.rest) == 1:
         ((op, right_node),) = node.rest
         if op == "in" or op == "not in":
@@ -154,7 +157,7 @@ def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def _sides(first: ast.Expr, second: ast.Expr, c: Context) -> tuple[ir.Expr, ir.Expr]:
-    """Both sides; a display learns its type from the other side."""
+    """Check both sides of a comparison; a display gets its type from the other side."""
     if is_display(first) and not is_display(second):
         right = check_expr(second, c)
         return check_expr(first, c, right.type), right
@@ -207,7 +210,7 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
 
 
 def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
-    """The help for two values that cannot be compared."""
+    """Return the help for two values that cannot be compared."""
     for value, other in ((left, right), (right, left)):
         if other.type == STRING and value.type in NUMBERS:
             return f"write str({c.text(value.span)})"

@@ -1,4 +1,4 @@
-"""Names, ports and fields: what they mean, and whether they may be read at the place where they stand."""
+"""Names, ports and fields: their resolution, and whether the current section may read them."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ FOREIGN = {
     "this": "a variable stands by its own name; this robot's index is pid",
     **dict.fromkeys(("math", "np", "numpy"), "functions and constants stand by their own names: sqrt(x), sin(x), pi"),
 }
-# Constants of Python's math -> how Koord has it.
+# Constants of Python's math -> Koord.
 _MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
-# Functions of other languages -> how Koord has it.
+# Functions of other languages -> help that says how to write it in Koord.
 NO_FUNCTIONS = {
     "int": "a float never becomes an int by itself: floor, ceil and round make one",
     "float": "an int becomes a float by itself",
@@ -79,7 +79,7 @@ NO_FUNCTIONS = {
     "type": "a variable's type is the one it is declared with",
     "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
 }
-# What one writes by habit -> (types that have it, what to write; "_" is the object).
+# Type -> method names of other languages -> the type's method.
 HABITS: dict[str, dict[str, str]] = {
     "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
     "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
@@ -148,7 +148,7 @@ def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
-    """Reports that what is one robot's has no meaning here; None where it has. `what` is "the port " or the like."""
+    """Report that the current section cannot read a robot's state; None if it can. `what` is "the port " or similar."""
     match c.place:
         case "init" | "guard" | "effect":
             return None
@@ -186,7 +186,7 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
 
 
 def undefined(name: str, span: Span, c: Context) -> ir.Expr:
-    """Reports a name that nothing has, unless it may stand in what could not be read."""
+    """Report an undefined name, unless text that could not be parsed may define it."""
     if name in c.broken or name in c.owners:
         return c.poison(span)
     if c.place == "assume":
@@ -217,7 +217,7 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def not_called(name: str, span: Span, c: Context) -> None:
-    """Report a call of a value, which may have, and hide, the name of a builtin function."""
+    """Report a call of a value. The value's name may hide a builtin function; the message says so."""
     owner = c.temp(name) or c.entities.get(name)
     if name not in FUNCTIONS or owner is None:
         c.error("K017", f"{name} is not a function", span)
@@ -232,7 +232,7 @@ def is_event(name: str, c: Context) -> bool:
 
 
 def ended(name: str, span: Span, c: Context) -> bool:
-    """Reports a variable of a block or a loop that is used behind it; false where a name is none."""
+    """Report a use of a variable after the block or loop that declares it; False if the name is no such variable."""
     if name not in c.minted or c.program is None:
         return False
     here = span.line, span.column
@@ -259,7 +259,7 @@ def _start(node: Section | tree.Stmt) -> tuple[int, int]:
 
 
 def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
-    """The blocks of a section or a statement."""
+    """Return the blocks of a section or a statement."""
     match node:
         case Event(clauses=clauses):
             return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
@@ -276,7 +276,7 @@ def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
 
 
 def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tree.Stmt]:
-    """The statements within that stand before a place, the last one first."""
+    """Yield the statements in a node that begin before a position, the last one first."""
     for block in reversed(_inner(node)):
         for place in range(bisect_left(block, here, key=_start) - 1, -1, -1):
             yield from _backwards(block[place], here)
@@ -301,7 +301,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
 
 
 def module_named(node: ast.Expr, c: Context) -> Module | None:
-    """The module that an expression names, if it does."""
+    """Return the module that an expression names, or None."""
     if type(node) is not ast.Name:
         return None
     entity = c.entities.get(node.name)
@@ -316,13 +316,13 @@ def _port_of(module: Node | None, name: str) -> Port | None:
 
 
 def assumed_port(name: str, c: Context) -> Module | None:
-    """The module of which an assumption speaks, if it has a port of that name."""
+    """Return the module of the current assumption if it has a port of that name, or None."""
     module = c.entities.get(c.module)
     return module if isinstance(module, Module) and _port_of(module, name) is not None else None
 
 
 def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:
-    """The port `module.name`; None after reporting that the program does not declare it."""
+    """Return the port `module.name`; None after reporting that the program does not declare it."""
     port = _port_of(module, node.name)
     if port is None and node.name not in c.broken:
         help = c.nearest(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
@@ -362,7 +362,7 @@ def field_of(type_: Type, name: str) -> Type | None:
 
 
 def word_of(type_: Type) -> str:
-    """The word by which the tables of methods know a type."""
+    """Return the name of a type in the tables of methods."""
     return type_.name if isinstance(type_, Sequence) else "Map" if isinstance(type_, MapOf) else str(type_)
 
 
@@ -372,7 +372,7 @@ def methods_of(type_: Type) -> list[str]:
 
 
 def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
-    """Report that a value has no such field, with what may have been meant."""
+    """Report that a value has no such field, and suggest what to write."""
     type_, name, text = operand.type, node.name, c.text(node.value.span)
     fields = fields_of(type_)
     if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or str(type_) == "string"):
@@ -394,10 +394,10 @@ def _listed(fields: dict[str, Type]) -> str:
 
 
 def unknown(name: str, c: Context) -> bool:
-    """Return whether nothing has a name, as far as the text could be read."""
+    """Return whether a name is undefined, also in text that could not be parsed."""
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
 def names_a_value(name: str, c: Context) -> bool:
-    """Whether a name is taken for something that is no builtin function."""
+    """Return whether a name denotes anything but a builtin function."""
     return c.temp(name) is not None or name in c.entities or (name in PREDEFINED and name not in FUNCTIONS)

@@ -1,4 +1,4 @@
-"""Records, params and variables: their types first, so that they may stand in any order, then their first values."""
+"""Records, params and variables. Their types come before their initial values, so they may stand in any order."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
 
 
 def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
-    """Makes the records' types known. The records, each behind those that its fields hold; those without a type are
-    wrong."""
+    """Define the types of records. Returns the records, each after those in its fields; wrong ones have no type."""
     from koordgen.lang.check.graph import ordered
 
     for node in sections:
@@ -60,7 +59,7 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     return records
 
 
-_MOST_PARTS, _DEEPEST = 1000, 20  # of one record, those of the records in it included
+_MOST_PARTS, _DEEPEST = 1000, 20  # limits of one record, with the records in it: fields, nesting
 
 
 def _held(node: ast.RecordDef) -> list[str]:
@@ -91,7 +90,7 @@ def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Conte
 
 
 def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
-    """The records with their fields' first values, in the order given."""
+    """Return the records with the initial values of their fields, in the order of `found`."""
     records = []
     for node, fields, type_ in found:
         defaults = [_initial(field, field.initial, held, c, _NO_PARAM_IN_FIELD) for field, held in fields]
@@ -129,7 +128,7 @@ Typed = list[tuple[ast.Variable, Kind, Type]]
 
 
 def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
-    """Makes the variables known, still without their first values."""
+    """Define the variables, without their initial values."""
     typed: Typed = []
     for section in sections:
         kind = section.kind
@@ -152,7 +151,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     if kind != "allread":
         if _sized(node, f"under '{kind}:'", c):
             resolve(type_, c)
-            return POISON  # that an index may leave an empty list would be an echo
+            return POISON  # a list type would make indices of it errors, too: an echo of this one
     elif node.size is not None:
         if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
@@ -174,7 +173,7 @@ def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
 
 
 def _sized(node: ast.Variable, where: str, c: Context) -> bool:
-    """Whether a variable that has no size has one, which is reported."""
+    """Return whether a variable has a size; report it, because this variable cannot have one."""
     if node.size is not None and not isinstance(node.size, tree.Broken):
         help = f"write List<{c.text(node.type.span)}> {node.name}"
         c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
@@ -196,7 +195,7 @@ def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...]
 def _initial(
     node: ast.Variable | ast.Param, value: tree.Expr | None, type_: Type, c: Context, no_params: str = ""
 ) -> expr.Expr:
-    """A first value: literals, builtins, and params unless a message says why not."""
+    """Check an initial value. It may use literals, builtins and params; no params if `no_params` has a message."""
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")

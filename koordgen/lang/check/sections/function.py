@@ -1,4 +1,4 @@
-"""Functions: signatures first, so that they may call one another in any order; then bodies and contracts."""
+"""Functions: signatures, then bodies and contracts, so that functions may call each other in any order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Signature = tuple[tuple[decl.Parameter, ...], Type]
 
 
 def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
-    """A function's parameters and result (POISON also where it is not known yet); makes the function known."""
+    """Define a function and return its parameters and result type: POISON if the type is wrong or not known yet."""
     parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
     result = POISON if node.result is None else resolve(node.result, c)
     entity: decl.Function | decl.ExternFunction | decl.SpecFunction
@@ -64,7 +64,7 @@ Signed = list[tuple[ast.Function, Signature]]
 
 
 def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
-    """The functions, each behind those that it calls."""
+    """Check the bodies of functions. Returns the functions, each after the functions that it calls."""
     signed = _inferable(signed, c)
     checked = {}
     for node, known in signed:
@@ -83,8 +83,11 @@ def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
 
 
 def _inferable(signed: Signed, c: Context) -> Signed:
-    """With functions of the 2020 dialect, whose results nobody wrote, behind those that they call; they are checked in
-    this order, so that a result is known before it is used."""
+    """Return the functions in the order in which they are checked.
+
+    Functions of the 2020 dialect declare no result types. If there are some, each function stands after those that it
+    calls, so that a result type is known before it is used.
+    """
     if all(node.result is not None for node, _ in signed):
         return signed
     by_name = {node.name: (node, known) for node, known in signed if owns(node.name, node, c)}
@@ -113,8 +116,10 @@ def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
 def _temps(
     written: tuple[ast.Parameter, ...], parameters: tuple[decl.Parameter, ...], c: Context
 ) -> tuple[decl.Parameter, ...]:
-    """Makes the parameters temps of the section; gives them by their unique names. They may have the names of variables
-    and modules, which functions cannot read anyway."""
+    """Add the parameters to the section's temps; return them under their unique names.
+
+    A parameter may have the name of a variable or module, because functions cannot read those.
+    """
     scope = c.scopes[0]
     kept = []
     for node, (name, type_) in zip(written, ((p.name, p.type) for p in parameters), strict=True):
@@ -133,7 +138,7 @@ def _temps(
 
 
 def _modernise(node: ast.Function, result: Type, c: Context) -> None:
-    """`def fun f(pos a):` becomes `fun f(pos a) -> Point:`."""
+    """Suggest the modern head of a function: `def fun f(pos a):` becomes `fun f(pos a) -> Point:`."""
     start = node.def_span
     assert start is not None
     edits = [Edit(Span(start.line, start.column, node.span.line, node.span.column), "fun ")]
@@ -146,7 +151,7 @@ def _modernise(node: ast.Function, result: Type, c: Context) -> None:
 
 
 def _closing_bracket(node: ast.Function, c: Context) -> Span:
-    """The place right behind the bracket that ends the parameters."""
+    """Return the position after the bracket that ends the parameters."""
     last = node.parameters[-1].span if node.parameters else node.span
     line, column = last.end_line, last.end_column
     while True:
@@ -158,7 +163,7 @@ def _closing_bracket(node: ast.Function, c: Context) -> Span:
 
 
 def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.ExternFunction, ...]:
-    """The extern functions with their contracts, whose formulas may call functions: these are known by now."""
+    """Check the contracts of extern functions. Their formulas may call functions, which must be defined by now."""
     return tuple([_extern(node, c) for node in sections])
 
 

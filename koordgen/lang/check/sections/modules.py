@@ -1,4 +1,4 @@
-"""Modules: the ports that a program uses, and what it assumes of them."""
+"""Modules: the ports that a program uses, and its assumptions about them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Direction = Literal["sensor", "actuator", "callable", "stream"]
 
 
 def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
-    """The modules with their ports; sections of one name are one module. What they assume comes later."""
+    """Return the modules with their ports, without assumptions. Sections of the same name make one module."""
     found: dict[str, tuple[ast.Using, dict[str, decl.Port], dict[str, ast.Port]]] = {}
     for section in sections:
         _, ports, written = found.setdefault(section.name, (section, {}, {}))
@@ -57,7 +57,7 @@ def _add(
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
-    """Return the meaning that the marks of a port give it; without marks, the usual one of its name."""
+    """Return the meaning that a port's marks give it; without marks, the one usual for its name."""
     if not node.marks:
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
@@ -77,7 +77,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
 
 
 def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
-    """Return message, place and help of the error if a port cannot have the mark."""
+    """Return message, span and help of the error if a port cannot have the mark; otherwise None."""
     if mark.word != "as":
         help = f"a command is an actuator's, and {port.name} is none"
         return None if port.direction == "actuator" else (f"'{mark.word}' belongs to an actuator", mark.span, help)
@@ -89,7 +89,7 @@ def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
 
 
 def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Context) -> bool:
-    """Return whether the module has the sensor that a mark names, of a type; report it otherwise."""
+    """Return whether the module has the sensor that a mark names, and of this type; report it otherwise."""
     name = mark.name
     sensor = ports.get(name)
     if sensor is None or sensor.direction != "sensor":
@@ -123,7 +123,7 @@ def _direction(
 
 
 def assumptions(sections: Iterable[ast.Using], modules: list[decl.Module], c: Context) -> tuple[decl.Module, ...]:
-    """The modules with what is assumed of their ports."""
+    """Return the modules with the assumptions about their ports."""
     assumed: dict[str, list[decl.Assumption]] = {}
     for section in sections:
         known = isinstance(c.entities.get(section.name), decl.Module)

@@ -1,5 +1,7 @@
-"""A whole program: names, then types and signatures, then first values and bodies, so that sections may stand in any
-order; init and the events in the order of their writing."""
+"""A whole program: names, then types and signatures, then initial values and bodies.
+
+This order lets sections stand anywhere in the text. Init and the events are checked in the order of the text.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +30,14 @@ from koordgen.lang.syntax import decl as ast
 
 
 class Typed(NamedTuple):
-    """A program whose names are resolved and whose types are known, with drafts among its nodes: see `ir.draft`."""
+    """Result of the first check: a program with names and types, whose nodes include drafts (see `ir.draft`)."""
 
     program: decl.Program
     found: list[Diagnostic]
 
 
 def resolve(program: ast.Program, source: Source) -> Typed:
-    """Resolve names and types; the first of the two checks of a program."""
+    """Resolve names and types: the first of the two checks of a program."""
     c = Context(source, program)
     return Typed(_program(program, c), c.found)
 
@@ -90,6 +92,6 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
 
 
 def _init(sections: list[ast.Init], c: Context) -> Block:
-    """Several are one, in the order of their writing."""
+    """Check all init sections and join them into one block, in the order of the text."""
     c.enter("init")
     return tuple([statement for section in sections for statement in check_block(section.block, c)])

@@ -1,4 +1,4 @@
-"""Loops: what they run over, and the types of their variables."""
+"""Loops: their domains, and the types of their variables."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
 
 
 def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Type, ...]:
-    """The types of the loop's variables."""
+    """Return the types of the loop's variables."""
     count = len(node.names)
     if count == 1 or element is POISON:
         return (element,) * count

@@ -1,4 +1,4 @@
-"""Statements: their types, and the places that they may write."""
+"""Statements: types of their values, and places that they write."""
 
 from __future__ import annotations
 
@@ -44,8 +44,10 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
 
 
 def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
-    """Check and return the value of an assignment that writes nothing. It gives the type for the help with a variable
-    that nobody declared."""
+    """Check and return the value of an assignment whose target is wrong.
+
+    If the target is an undeclared variable, the value's type completes the help, which shows a declaration.
+    """
     at, target = len(c.found) - 1, node.target
     forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
     if pops(node.value, c):
@@ -58,7 +60,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
         return value
     if isinstance(node.value, ast.ListDisplay) and not node.value.items:
-        type_ = list_of(POINT)  # an example
+        type_ = list_of(POINT)  # an example type for the help
     known = type_ is not POISON and not isinstance(type_, PerRobot)
     span, text = node.value.span, c.text(node.value.span)
     kept = known and not node.op and span.line == span.end_line and len(text) <= 40
@@ -70,7 +72,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
 
 
 def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
-    """`target = value`, typed; `reads`: the target's own value is part of the new one."""
+    """Append the IR of `target = value`. `reads`: the new value depends on the old one."""
     place = target.place
     hoist(span, c, out)
     if c.place == "init" and type(place) is stmt.SharedPlace:
@@ -87,15 +89,18 @@ def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, o
 
 
 def hoist(span: Span, c: Context, out: Out) -> None:
-    """Let what must be evaluated before a statement, which stands at `span`, stand before it."""
+    """Append the declarations that must be evaluated before the statement at `span`."""
     for let in c.hoisted:
         out.append(replace(let, span=span))
     c.hoisted.clear()
 
 
 def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
-    """`x = q.pop()`: read, then remove. A part of a variable is written last, and so is one that the index of `pop`
-    reads: what is removed is what was read."""
+    """Check `x = q.pop()`: read the element, then remove it.
+
+    A target that is a part of a variable is written last. So is a variable that the index of `pop` reads: otherwise
+    another element would be removed than was read.
+    """
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
     if update is None:
@@ -123,7 +128,7 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            out.append(draft.Wrong((), node.span))  # `assert b`, `del n`: no declaration was meant
+            out.append(draft.Wrong((), node.span))  # `assert b`, `del n` parse as declarations, but are none
             return
         value = default(type_, node.span, c)
     elif pops(node.value, c):
@@ -140,7 +145,7 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
 
 
 def _type(node: tree.Declare, c: Context) -> Type:
-    """The type of a declaration, as which a statement of another language may read: `global n`."""
+    """Return the type of a declaration. Reports a statement of another language that parses as one: `global n`."""
     written = node.type
     if isinstance(written, NamedType) and written.name not in NAMED and written.name not in c.types:
         from koordgen.lang.syntax.habits import FOREIGN
@@ -181,7 +186,7 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
 
 
 def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
-    """`Log.stdout << a << b`"""
+    """Check a statement that writes to a stream: `Log.stdout << a << b`."""
     parts: list[ast.Expr] = []
     head: ast.Expr = node
     while isinstance(head, ast.Binary) and head.op == "<<":
@@ -207,7 +212,7 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
 
 
 def _text(value: ir.Expr, c: Context) -> ir.Expr:
-    """What a stream shows of a value: a string."""
+    """Return the string that a stream shows for a value."""
     type_ = value.type
     if type_ is POISON or type_ == STRING:
         return value
@@ -217,11 +222,11 @@ def _text(value: ir.Expr, c: Context) -> ir.Expr:
     return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help, (), value)
 
 
-# What leads elsewhere
+# Control flow
 
 
 def _if(node: tree.If, c: Context, out: Out) -> None:
-    """`elif` becomes an If in `orelse`."""
+    """Check `if`; each `elif` becomes an If in `orelse`."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
     for branch in node.branches:
         held = condition(branch.condition, c, "the condition of 'if'")
@@ -233,7 +238,7 @@ def _if(node: tree.If, c: Context, out: Out) -> None:
 
 
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
-    """The event as a whole is the transaction: the block stands behind the word."""
+    """Check `atomic:`. It makes the whole event a transaction, so its block follows the `draft.Atomic` marker."""
     if c.atomic:
         c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
     elif c.place == "function":

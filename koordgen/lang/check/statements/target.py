@@ -1,5 +1,7 @@
-"""What assignments and updating methods write: a variable as a whole, or a part of its value, which is written by
-writing the whole with that part replaced."""
+"""Targets of assignments and updating methods: a variable, or a part of its value.
+
+A part is written by writing the whole value with that part replaced.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,11 @@ from koordgen.lang.syntax import expr as ast
 
 
 class Target(Node):
-    """`place` is written with `put(new)`, where `new` is the new value of what `read` reads: the whole, or a part."""
+    """Target of an assignment: a variable, or a part of its value.
+
+    `read` reads the target. To give it the value `new`, `place`, the whole variable, is set to `put(new)`. `whole`: the
+    target is the variable itself, so `put(new)` is `new`.
+    """
 
     place: stmt.Place | SlotPlace
     read: ir.Expr
@@ -51,7 +57,7 @@ class Target(Node):
 
 
 def check_target(node: ast.Expr, c: Context) -> Target | None:
-    """What an assignment writes; None after reporting that it cannot."""
+    """Return the target of an assignment; None after reporting that it cannot be assigned."""
     match node:
         case ast.Name():
             return _named(node, c)
@@ -123,14 +129,14 @@ def _unknown(node: ast.Name, c: Context) -> None:
     if name in PREDEFINED:
         c.error("K022", f"{name} is predefined and cannot be assigned", span)
     elif name not in c.broken and name not in c.owners:
-        c.owners[name] = node  # it was to declare the name: what follows is no new mistake
+        c.owners[name] = node  # treat the assignment as a declaration, so that later uses are not reported
         if not ended(name, span, c):
             help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
             c.error("K010", f"{name} is not defined", span, help or declaration(name))
 
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
-    """The help for what was not declared."""
+    """Return the help for an undeclared variable."""
     return f"declare it: '{type_} {name} = {value}'"
 
 
@@ -165,7 +171,7 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
 
 
 def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
-    """`outer[index]`: of a List, a Map, a tuple."""
+    """Return the target `outer[index]`, of a List, a Map or a tuple."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
@@ -196,7 +202,7 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
 
 
 def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
-    """`outer.name`: of a record."""
+    """Return the target `outer.name`, of a record."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
@@ -217,7 +223,7 @@ def _part(outer: Target, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> Ta
 
 
 def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
-    """An index that is read twice: what is called in it is called once, before the statement."""
+    """Return an index that can be read twice. If it has a call, a temp before the statement keeps its value."""
     if not has_call(index):
         return index
     name = c.mint("index")
@@ -225,14 +231,14 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
     return ir.TempRead(name, index.type, index.span)
 
 
-# Methods that change their object: `xs.append(v)` writes `xs` with a value that is longer by one.
+# Methods that change their object: `xs.append(v)` assigns to `xs` a value that is longer by one.
 
-Update = tuple[Target, ir.Expr | None, ir.Expr]  # what is changed; what `pop` yields; the new value
+Update = tuple[Target, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
 _NAMES = {name for _, name in UPDATES} | {"pop"}
 
 
 def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
-    """Whether an expression is the call of a method that changes its object."""
+    """Return whether an expression is a call of a method that changes its object."""
     return (
         type(node) is ast.Call
         and type(node.function) is ast.Attribute
@@ -242,12 +248,12 @@ def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
 
 
 def pops(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
-    """Whether it also yields a value."""
+    """Return whether an expression is a call of `pop`, which changes its object and has a value."""
     return updates(node, c) and isinstance(node.function, ast.Attribute) and node.function.name == "pop"
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """What a call for which `updates` holds does; None after reporting that it is wrong."""
+    """Return the effect of a call for which `updates` is true; None after reporting that it is wrong."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
@@ -278,7 +284,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
 
 
 def _arguments(type_: Type, name: str) -> tuple[Type, ...]:
-    """What an updating method of a type takes."""
+    """Return the types of the parameters of an updating method."""
     if name == "clear":
         return ()
     if isinstance(type_, MapOf):
