@@ -1,4 +1,4 @@
-"""The analysis of events: what a guard says to the effect behind it, and whether the event can ever run."""
+"""Analysis of events: the guard's facts hold in the effect; rules find events that can never run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from koordgen.lang.ir.types import BOOL, POISON
 
 
 def judge_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
-    """Return the events, still without their locks, each with its first `atomic` if it has one."""
+    """Analyse the events. Returns them without their locks, each with its first `atomic`, or None."""
     found: list[tuple[decl.Event, Atomic | None]] = []
     earlier: list[Judged] = []
-    by_condition: dict[str, list[Judged]] = {}  # those of `earlier`, by one condition of their guards
-    transactions = "atomic" in a.source.text  # else no event need be searched for one
+    by_condition: dict[str, list[Judged]] = {}  # `earlier`, by the least condition of each guard
+    transactions = "atomic" in a.source.text  # a quick test: without the word no event is searched
     for event in written:
         atomic = _first_atomic(event) if transactions else None
         judged = _event(event, atomic is not None, earlier, by_condition, a)
@@ -74,8 +74,11 @@ def _event(
 
 
 def _first(event: decl.Event, transaction: bool, earlier: Sequence[Judged]) -> list[Judged]:
-    """Return the events before it in its `priority:` block whose guards are known to be false of all that it sees. A
-    transaction sees shared variables as they are, the guards were judged at the round's start: those are left out."""
+    """Return the earlier events of the `priority:` block whose guards must be false where this event runs.
+
+    Guards are evaluated at the round's start. A transaction sees the shared variables as they are now, so for it the
+    guards that read shared variables are left out.
+    """
     if event.priority is None:
         return []
     block = [other for other in earlier if other.event.priority == event.priority]
@@ -87,7 +90,7 @@ def _reads_shared(guard: ir.Expr) -> bool:
 
 
 def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
-    """Return the texts of what a guard joins by `and`."""
+    """Return the texts of the conditions that a guard joins by `and`."""
     pending, found = [guard], set[str]()
     while pending:
         node = pending.pop()
@@ -96,6 +99,6 @@ def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
         if isinstance(node, ir.Logic) and node.op == "and":
             pending += [node.left, node.right]
         else:
-            spread = node.span.line != node.span.end_line  # of which only the first line is at hand: like no other
+            spread = node.span.line != node.span.end_line  # only its first line is compared: the number tells it apart
             found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
     return frozenset(found)

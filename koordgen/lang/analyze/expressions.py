@@ -1,6 +1,6 @@
-"""The analysis of expressions: what is known on the way to each index, divisor and read, and the rules asked there.
+"""Analysis of expressions: tracks the facts at each part of an expression and applies the rules there.
 
-`judge` returns an expression with `proved` set where a rule has shown that it cannot fail.
+`judge` returns the expression with `proved` set on each index, slice and division that a rule has proved safe.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from koordgen.lang.ir.types import BOOL, POISON, Sequence
 
 
 def judge(node: ir.Expr, a: Analysis) -> ir.Expr:
-    """Judge an expression at the point where the analysis is. An unchanged one is returned itself."""
+    """Analyse an expression at the current point. Returns the same object if nothing changed."""
     rule = _RULES.get(type(node))
     return node if rule is None else rule(node, a)
 
@@ -79,7 +79,7 @@ def _compare(node: ir.Compare, a: Analysis) -> ir.Expr:
 
 
 def _logic(node: ir.Logic, a: Analysis) -> ir.Expr:
-    """The right side is evaluated only where the left one does not decide."""
+    """Analyse `and` or `or`. The right side is evaluated only if the left side does not decide the result."""
     left = judge(node.left, a)
     path, poisoned = a.path, a.poisoned
     if path is not None and left.type is BOOL:
@@ -94,7 +94,7 @@ def _logic(node: ir.Logic, a: Analysis) -> ir.Expr:
 
 
 def _conditional(node: ir.Conditional, a: Analysis) -> ir.Expr:
-    """One of the two sides is evaluated."""
+    """Analyse `then if condition else orelse`. Only one of the two sides is evaluated."""
     condition = judge(node.condition, a)
     path, poisoned = a.path, a.poisoned
     yes = no = path
@@ -127,7 +127,7 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
     operand, index = judge(node.operand, a), judge(node.index, a)
-    if index.span is node.span:  # of `pop()`, which has no index in the text: see `target.py`
+    if index.span is node.span:  # the index comes from `pop()`, not from the text: see `check/statements/target.py`
         proved = node.proved or holds_some(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)
@@ -140,7 +140,8 @@ def _slice(node: ir.Slice, a: Analysis) -> ir.Expr:
     found: ir.Slice = _parts(node, a)
     if found.proved:
         return found
-    ends = [end_proved(end, node.span, a) for end in (found.start, found.stop) if end is not None]  # each is reported
+    # A list, not a generator: both ends are checked and reported.
+    ends = [end_proved(end, node.span, a) for end in (found.start, found.stop) if end is not None]
     proved = all(ends)
     return ir.Slice(found.operand, found.start, found.stop, proved, node.type, node.span) if proved else found
 
@@ -160,7 +161,7 @@ def _builtin(node: ir.Builtin, a: Analysis) -> ir.Expr:
 
 
 _Rule = Callable[[Any, Analysis], ir.Expr]
-# By the class of the node; a class that is not here has no parts, and no rule.
+# Analysis of each class of node. A class that is missing has no parts and no rule.
 _RULES: dict[type, _Rule] = {
     ir.Pid: _pid,
     ir.LocalRead: _local,

@@ -1,4 +1,4 @@
-"""Transactions: the groups of shared variables that have one lock, and the events that need it."""
+"""Locks of transactions: groups of shared variables with a common lock, and the events that need it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ Groups = tuple[tuple[str, ...], ...]
 
 
 def locked(found: Found, shared: tuple[decl.Shared, ...], findings: Findings) -> tuple[tuple[decl.Event, ...], Groups]:
-    """Return the events with their locks, and the groups of shared variables, in the order of their first declarations.
-    A transaction without shared variables needs no lock: it is as any event."""
+    """Return the events with their locks, and the groups of shared variables that each lock protects.
+
+    The groups are in the order of the declarations. A transaction without shared variables needs no lock and is treated
+    as a plain event.
+    """
     used = [_shared_in(event) if atomic else set() for event, atomic in found]
     if not any(used):
         return tuple([event for event, _ in found]), ()
@@ -38,7 +41,7 @@ def _shared_in(event: decl.Event) -> set[str]:
 
 
 def _groups(used: list[set[str]], declared: list[str]) -> Groups:
-    """Return the groups of variables that events connect."""
+    """Return groups of variables: those that one transaction uses are in one group (union-find)."""
     leader = {name: name for names in used for name in names}
 
     def top(name: str) -> str:

@@ -1,7 +1,7 @@
-"""Both checks of a program: names and types, which yield the IR with drafts, and the analysis of that.
+"""Both checks of a program: names and types, which yield IR with drafts, then the analysis of this IR.
 
-The analysis goes on beside errors of the first check: it judges what has a type. Rules that few programs need are
-imported when they are needed, because a check is short.
+The analysis also runs after errors of the first check, on the parts that have a type. Rules that few programs need are
+imported on demand, because their import takes long compared with a check.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from koordgen.lang.syntax.walk import is_whole
 
 
 def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
-    """Return the typed program, or None where there are errors; and all diagnostics, in the order of the text."""
+    """Return the typed program, or None if there are errors, and all diagnostics in the order of the text."""
     draft, found = resolve(program, source)
     a = Analysis(source, draft.params)
     a.found = found
@@ -34,7 +34,7 @@ def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, li
 
 
 def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Program:
-    """Judge a program of drafts; return the program without them."""
+    """Analyse a program with drafts and return it without them."""
     records = tuple([_record(record, a) for record in program.records])
     params = tuple([replace(p, default=_first(p.name, p.default, p.type, a)) for p in program.params])
     shared = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.shared])
@@ -60,7 +60,7 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
 def _events(
     written: tuple[decl.Event, ...], shared: tuple[decl.Shared, ...], a: Analysis
 ) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
-    """Return the events, and the groups of shared variables that have one lock."""
+    """Return the events, and the groups of shared variables that have a common lock."""
     judged = judge_events(written, a)
     if all(atomic is None for _, atomic in judged):
         return tuple([event for event, _ in judged]), ()
@@ -70,7 +70,7 @@ def _events(
 
 
 def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
-    """Judge the first value of a param, a variable or a field."""
+    """Analyse the initial value of a param, a variable or a field."""
     before = len(a.found)
     value = _formula(value, "constant", a)
     if not a.has_errors(before):

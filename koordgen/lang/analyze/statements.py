@@ -1,4 +1,4 @@
-"""The analysis of statements: what is known before and behind each, and the rules asked there."""
+"""Analysis of statements: facts before and after each statement, and the rules applied there."""
 
 from __future__ import annotations
 
@@ -22,12 +22,15 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON
 
-MOST_LOOPS = 4  # within one another; in deeper ones nothing is looked for
+MOST_LOOPS = 4  # nesting of loops; in deeper loops no invariants are searched for
 _DOUBTS = frozenset(("K030", "K031", "K032", "K033", "K034"))
 
 
 def judge_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
-    """Judge the statements of a block, and return them without drafts. `a.path` is None if no run gets to the end."""
+    """Analyse a block and return its statements without drafts.
+
+    Sets `a.path` to None if its end is unreachable.
+    """
     judged: list[stmt.Stmt] = []
     told = a.path is None
     for statement in block:
@@ -78,14 +81,14 @@ def _statement(statement: draft.Draft, a: Analysis) -> stmt.Stmt | None:
             for part in parts:
                 judge(part, a)
         case draft.Unread():
-            a.poisoned = True  # what it does is not known: indices and divisors behind it are not judged
+            a.poisoned = True  # its effect is unknown, so indices and divisors after it are not checked
         case draft.Atomic():
             pass
     return None
 
 
 def _learn(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
-    """Behind `place = value`: what was known of the place is gone, and its new value may be known."""
+    """Update the facts for `place = value`: drop those about the place, and add its new value if known."""
     if a.path is not None:
         a.path = a.path.assigning(place, value)
 
@@ -110,7 +113,10 @@ def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt | None:
 
 
 def _if(node: stmt.If, a: Analysis) -> stmt.If:
-    """Each branch knows that its own condition holds, or that it does not; behind it holds what both branches leave."""
+    """Analyse `if`.
+
+    The condition is a fact in `then`, its negation in `orelse`; after both, common facts remain.
+    """
     mentioned = a.mentioned.copy()
     condition = judge(node.condition, a)
     before = otherwise = a.path
@@ -129,7 +135,7 @@ def _if(node: stmt.If, a: Analysis) -> stmt.If:
     return stmt.If(condition, then, orelse, node.span)
 
 
-# Loops: what is known in them and behind them
+# Loops: facts inside and after them
 
 
 def _for(node: stmt.For, a: Analysis) -> stmt.For:
@@ -169,7 +175,7 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
 
 
 def _written_name(temp: str, head: str) -> str:
-    """Return how the program calls the variable of a loop, whose temp may have a number behind its name."""
+    """Return the name of a loop's variable in the text; its temp may have a numbered name."""
     name = re.sub(r"_\d+$", "", temp)
     return temp if re.search(rf"\b{temp}\b", head) else name
 
@@ -208,8 +214,11 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
 
 
 def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
-    """Monitors report an invariant without a value: its indices and divisors are not judged. What it reads goes into no
-    write."""
+    """Analyse the invariants of a loop, without checks of their indices and divisors.
+
+    Monitors report an invariant that has no value. Its reads of shared variables do not count for lost updates, because
+    no write depends on them.
+    """
     if not invariants:
         return ()
     poisoned, shared, path = a.poisoned, a.read_shared.copy(), a.path
@@ -220,8 +229,10 @@ def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tupl
 
 
 def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the variables that a loop's block may change, by their names in a Flow, and those of them whose lengths it
-    leaves alone."""
+    """Return the variables that a loop's block may change, and those of them that keep their lengths.
+
+    Both are sets of names in a Flow.
+    """
     found = list(writes(block))
     changed = frozenset([name for name, _ in found])
     return changed, changed - {name for name, same_length in found if not same_length}
@@ -234,9 +245,11 @@ def _same(flow: Flow) -> Flow:
 def _counting(
     unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
-    """Return the steps that put the first, the next and the last value into the variable of a loop that counts; the
-    variable; and the first value that it does not take, where it counts up. A value of which nothing is known may be
-    any."""
+    """Return `first`, `next`, `last`, `counter` and `stop` of `Turns` for a loop over a range or over ID.
+
+    The first three set the loop's variable to its first, next and last value; an unknown value may be any. `stop` is
+    the first value that the variable does not take, known only if it counts up.
+    """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)
     stop: linear.Linear | None = linear.variable(linear.N_SYS)
@@ -260,7 +273,7 @@ def _counting(
 
 
 def _stated(flow: Flow, name: str) -> Flow:
-    """Return the facts with each value that depends on a variable as a condition: a step of the variable moves it."""
+    """Turn known values that depend on a variable into conditions, which a step of the variable can shift."""
     for other, (value, about) in flow.values.items():
         if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
             flow = flow.knowing(linear.equal(linear.variable(other), value))
@@ -271,8 +284,11 @@ def _turn(
     written: stmt.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], Turns],
     invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, a: Analysis,
 ) -> stmt.Block:  # fmt: skip
-    """Judge the block of a loop. If an index or a divisor in it is doubtful, look for conditions that each turn keeps,
-    and judge the block again with these."""
+    """Analyse the block of a loop.
+
+    If an index or a divisor in it may be wrong, search for conditions that hold in each iteration, and analyse the
+    block again with these facts.
+    """
     if head is not None:
         a.flow = enter(head)
     mark = a.mark()
@@ -290,7 +306,10 @@ def _turn(
 
 
 def _behind(turns: Turns, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
-    """The point behind a loop. What its turns keep is looked for when somebody asks what is known there."""
+    """Return the point after a loop.
+
+    Its facts, which need a search for loop invariants, are computed on demand.
+    """
 
     def known() -> Flow:
         found = kept(turns, [*written_down(invariants), *counters(turns, condition)])
@@ -307,7 +326,7 @@ def _body(block: stmt.Block, a: Analysis) -> stmt.Block:
 
 
 def _breaks(block: stmt.Block) -> bool:
-    """Return whether a `break` leaves the loop of which this is the block."""
+    """Return whether the block of a loop has a `break` that leaves this loop."""
     for statement in block:
         match statement:
             case stmt.Break():

@@ -1,4 +1,4 @@
-"""Shared parts of expression checks: dispatch, conversion to an expected type, default values of variables."""
+"""Shared parts of expression checks: dispatch, conversion to an expected type, default values."""
 
 from __future__ import annotations
 
@@ -90,7 +90,10 @@ def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
 
 
 def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
-    """Return an argument converted to its parameter's type. An allread variable as a whole passes as a list."""
+    """Return an argument converted to its parameter's type.
+
+    An allread variable as a whole passes as a list.
+    """
     found = value.type
     listed = isinstance(found, PerRobot) and isinstance(type_, Sequence) and type_.name == "List"
     if listed and same(found.element, type_.element):  # type: ignore[union-attr]
@@ -167,10 +170,13 @@ def default(type_: Type, span: Span, c: Context) -> ir.Expr:
 
 
 def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | ast.MapDisplay | ast.Tuple]:
-    """Return whether an expression is a display (`[a]`, `{a}`, `{a: b}`, `(a, b)`), whose type its context decides."""
+    """Return whether an expression is a display (`[a]`, `{a}`, `{a: b}`, `(a, b)`).
+
+    Its context decides its type.
+    """
     return type(node) in _DISPLAYS
 
 
 def has_call(node: ir.Expr, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
-    """Return whether an expression has a call of one of `kinds`: of functions, extern functions or ports by default."""
+    """Return whether an expression contains a call of one of `kinds`."""
     return any(isinstance(part, kinds) for part in walk(node))

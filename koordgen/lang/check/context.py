@@ -83,7 +83,10 @@ class Context(Findings):
 
     @cached_property
     def broken(self) -> frozenset[str]:
-        """Names in text that could not be parsed. It may declare them, so their uses are not reported as undefined."""
+        """Names in text that could not be parsed.
+
+        It may declare them, so their uses are not reported as undefined.
+        """
         from koordgen.lang.syntax.walk import broken_names
 
         return broken_names(self.program) if self.program is not None else frozenset()
@@ -91,7 +94,10 @@ class Context(Findings):
     def error(
         self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = (), *parts: Expr
     ) -> Expr:
-        """Report an error and return poison. `parts` are its subexpressions, which later analysis still checks."""
+        """Report an error and return poison.
+
+        `parts` are its subexpressions, which later analysis still checks.
+        """
         self.report("error", code, message, span, help, labels)
         return self.poison(span, *parts)
 

@@ -1,4 +1,4 @@
-"""Loop invariants: their position, the names that they may read, and `old(x)`, a variable's value before the loop."""
+"""Loop invariants: their position, the names that they read, and `old(x)`, a value before the loop."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead
 
 
 def check_old(node: ast.Call, c: Context) -> ir.Expr:
-    """Check `old(x)` in a loop invariant. Returns a read of the temp that saves the value of `x` before the loop."""
+    """Check `old(x)` in a loop invariant.
+
+    Returns a read of the temp that saves the value of `x` before the loop.
+    """
     if c.entry is None:
         help = "outside of one, keep the value in a variable: int before = x"
         return c.error("K058", "'old' has a meaning in loop invariants only", node.span, help)

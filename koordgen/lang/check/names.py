@@ -1,4 +1,7 @@
-"""Declarations of names. Variables, params, modules, functions, records and extern types share one namespace."""
+"""Declarations of names.
+
+Variables, params, modules, functions, records and extern types share one namespace.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +81,10 @@ def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
 
 
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
-    """Return whether a name is new in a namespace of its own, such as a record's fields; report it otherwise."""
+    """Return whether a name is new in a namespace of its own, such as a record's fields.
+
+    Report it otherwise.
+    """
     first = seen.setdefault(name, span)
     if first is span:
         return True

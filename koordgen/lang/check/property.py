@@ -32,7 +32,9 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
 
 
 def goal(name: str, span: Span, c: Context) -> Temp | None:
-    """Bind an undefined name that an assumption passes to a callable port of its module; None if it does not.
+    """Bind an undefined name that an assumption passes to a callable port of its module.
+
+    None if it does not.
 
     From then on the name stands for every value that the port takes in this place.
     """
@@ -85,7 +87,10 @@ def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
 
 
 def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
-    """Yield the index of each argument of the module's callable ports that is this name, not bound by a quantifier."""
+    """Yield the index of each argument of the module's callable ports that is this name.
+
+    Occurrences that a quantifier binds are left out.
+    """
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call):

@@ -197,7 +197,10 @@ def _bearing(type_: Type) -> int:
 
 
 def _sized(type_: Type, given: Iterator[int] | None) -> Type:
-    """Return the type with the next given capacities; with the defaults of local variables if `given` is None."""
+    """Return the type with the next given capacities.
+
+    If `given` is None, the capacities are the defaults of local variables.
+    """
     match type_:
         case Sized(name):
             return Sized(name, _LOCAL[name] if given is None else next(given))

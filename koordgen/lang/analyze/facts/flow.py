@@ -1,6 +1,6 @@
-"""What is known at a point of an event: the conditions passed on the way and the values of its variables.
+"""Facts known at a program point: conditions passed on the path to it, and values of variables.
 
-Immutable: a branch of the program takes its own Flow from its parent's.
+A Flow is immutable: each branch derives its own Flow from its parent's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import Node
 
-# To forget is always right; what is kept is bounded so that a long event costs no more a line than a short one.
+# Forgetting a fact is always sound. The limits keep the time for each line constant, however long an event is.
 MOST_FACTS = 12
 MOST_VALUES = 20
 
@@ -36,7 +36,10 @@ _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 
 
 class Known(Node):
-    """A condition that holds; the variables that it depends on; the condition of the program that it comes from."""
+    """A condition that holds.
+
+    `about` has the variables that it depends on, `origin` the condition of the program that it comes from.
+    """
 
     formula: Formula
     about: frozenset[str]
@@ -44,10 +47,12 @@ class Known(Node):
 
 
 class Flow(Node):
-    """`known` holds here, the event's guard first; `values` are those of variables (by `variable_of`; lengths with
-    `len ` before it) that are a term or a condition over what does not change, each with the variables that it
-    depends on; `about` has all variables that anything here depends on, and maybe others. A Flow is asked, never
-    changed."""
+    """Facts known at a point. Immutable.
+
+    `known` has the conditions that hold, the event's guard first. `values` has variables whose value is known as a term
+    or a condition, each with the variables that it depends on. Its keys are names by `variable_of`, after `len ` for
+    the variable's length. `about` is a superset of all variables that the facts depend on.
+    """
 
     known: tuple[Known, ...] = ()
     values: dict[str, tuple[Linear | Formula, frozenset[str]]] = {}  # noqa: RUF012 - never changed
@@ -62,8 +67,11 @@ class Flow(Node):
         return None if found is None else found[0]
 
     def relevant(self, names: frozenset[str]) -> list[Formula]:
-        """The facts that share variables with `names`, or with a fact that does: the others cannot help to refute
-        anything about these, unless they refute themselves. pid and N_SYS share what holds of every fleet."""
+        """Return the facts that are connected to `names` by shared variables.
+
+        Other facts cannot help to refute a condition about these names, unless they contradict each other. pid and
+        N_SYS are always connected, by the facts about every fleet.
+        """
         if not names.isdisjoint(_FLEET):
             names |= _FLEET
         if names.isdisjoint(self.about):
@@ -82,7 +90,7 @@ class Flow(Node):
         return kept
 
     def knowing(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
-        """This, and the condition holds; `about`: its variables, where they are known already."""
+        """Return these facts and a condition. `about` has its variables, if the caller knows them."""
         if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
         if about is None:
@@ -91,7 +99,10 @@ class Flow(Node):
         return Flow((*known, Known(condition, about, condition)), self.values, self.about | about)
 
     def forgetting(self, names: frozenset[str], sized: frozenset[str] = frozenset()) -> Flow:
-        """This, without what depends on any of these variables; of those that are in `sized` the lengths stay."""
+        """Return these facts without those that depend on `names`.
+
+        Facts about the lengths of `sized` are kept.
+        """
         if names.isdisjoint(self.about):
             return self
         known = [rest for k in self.known for rest in _without(k, names)]
@@ -107,8 +118,12 @@ class Flow(Node):
         return Flow(tuple(known[:MOST_FACTS]), values, self.about)
 
     def assigned(self, name: str, value: Linear | Formula | None, length: bool = False) -> Flow:
-        """After an assignment: what was known of the variable is gone, and its new value, or its length, may be known.
-        A step (`n = n + 1`) moves what was known along."""
+        """Return the facts after an assignment.
+
+        `value` is the new value, or the new length, None if it is unknown.
+
+        Facts about the old value are dropped. A step such as `n = n + 1` shifts them instead.
+        """
         if value is None:
             return self.forgetting(frozenset((name,)))
         about = names_of(value)
@@ -140,7 +155,7 @@ class Flow(Node):
         return flow.knowing(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
-        """Where two ways meet: what is known on both."""
+        """Return the facts known on both of two paths that meet."""
         if self is other:
             return self
         same = {id(known) for known in other.known}
@@ -151,7 +166,7 @@ class Flow(Node):
 
 
 def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[Known]:
-    """What is still known of a variable that holds a remainder when the dividend changes."""
+    """Return the range of a variable that holds a remainder: it remains known after the dividend changed."""
     match value:
         case Linear(((Remainder(_, divisor), 1),), 0) if not name.startswith("len "):
             term = linear.variable(name)
@@ -168,12 +183,12 @@ def _alike(first: _Valued, second: _Valued) -> bool:
 
 
 def _owner(name: str) -> str:
-    """The variable whose value or length an entry of `values` is."""
+    """Return the variable of a key of `values`, which may stand for its length."""
     return name.removeprefix("len ")
 
 
 def _without(known: Known, names: _Names) -> tuple[Known, ...]:
-    """What is left of a fact when some variables change: of a conjunction, its other parts."""
+    """Return what remains of a fact when some variables change: of a conjunction, the parts without them."""
     if known.about.isdisjoint(names):
         return (known,)
     if not isinstance(known.formula, And):
@@ -187,13 +202,13 @@ def _without(known: Known, names: _Names) -> tuple[Known, ...]:
 
 
 def independent(item: Linear | Formula, names: _Names, sized: _Names) -> bool:
-    """Whether a term or a formula stays when these variables change, all but the lengths of those in `sized`."""
+    """Return whether a term or formula keeps its value when `names` change, all but lengths of `sized`."""
     formula = AtLeastZero(item) if isinstance(item, Linear) else item
     return all(n in sized and _only_as(Length(n), n, formula) for n in names_of(item) & names)
 
 
 def _only_as(var: Var, name: str, formula: Formula) -> bool:
-    """Whether a formula depends on a variable only by the plain term `var`."""
+    """Return whether a formula depends on the variable `name` only through the term `var`."""
     match formula:
         case AtLeastZero(term):
             return all(other == var or name not in names_of_var(other) for other, _ in term.terms)
@@ -204,7 +219,7 @@ def _only_as(var: Var, name: str, formula: Formula) -> bool:
 
 
 def variable_of(node: object) -> str | None:
-    """The name by which what is read or written is known here: "local count", "port Motion.position"."""
+    """Return a variable's name in a Flow: "local count", "port Motion.position"."""
     match node:
         case ir.LocalRead(name) | stmt.LocalPlace(name):
             return f"local {name}"
@@ -223,7 +238,7 @@ def variable_of(node: object) -> str | None:
 
 
 def names_of(item: Linear | Formula) -> frozenset[str]:
-    """All variables that a term or a formula depends on."""
+    """Return all variables that a term or a formula depends on."""
     found: set[str] = set()
     _collect(item, found)
     return frozenset(found)
@@ -263,8 +278,10 @@ def names_of_var(var: Var) -> frozenset[str]:
 
 
 def _add_reads(key: object, found: set[str]) -> None:
-    """The variables that the value of an expression depends on; of a tuple, such as an operator and what it is asked
-    of, those of the expressions in it."""
+    """Add the variables that an expression depends on.
+
+    Of a tuple such as (operator, operand): those of the expressions in it.
+    """
     if isinstance(key, tuple):
         for part in key:
             _add_reads(part, found)

@@ -1,9 +1,9 @@
-"""Induction over the turns of a loop: conditions that hold where it begins, and that each turn keeps.
+"""Loop invariants by induction: conditions that hold before a loop, and that each iteration preserves.
 
-Candidates are the program's loop invariants, and bounds that nobody has to write down: a variable stays above (or
-below) the value that it begins with, and within the bound that the condition of `while` sets. A candidate that is not
-shown for each way through the block is dropped, and the others are tried again without it. What is left is known in
-the loop, and behind it as far as it holds where `break` leaves.
+Candidates are the program's loop invariants, and bounds that are guessed: a variable stays above (or below) its initial
+value, and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the
+block is dropped, and the others are tried again without it. The remaining candidates are known inside the loop, and
+after it if they also hold at each `break`.
 """
 
 from __future__ import annotations
@@ -21,18 +21,24 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import INT
 
-MOST_WAYS = 16  # through a loop's block
-MOST_COUNTERS = 4  # variables of one loop whose bounds are looked for
+MOST_WAYS = 16  # paths through a loop's block
+MOST_COUNTERS = 4  # variables of one loop for which bounds are guessed
 
-Candidate = Callable[[Flow], Formula]  # what is known at a point -> the condition there
+Candidate = Callable[[Flow], Formula]  # facts at a point -> the candidate as a condition there
 Step = Callable[[Flow], Flow]
 
 
 class Turns(NamedTuple):
-    """A loop. `before` is known where it begins, `start` at its head, in terms of what it does not change (the lengths
-    of `sized` stay, too). Of a loop that counts, `first`, `next` and `last` put the value into its variable with which
-    the loop begins, goes on behind a turn, and ends; `counter` is that variable, and `stop` the first value that it
-    does not take, where it counts up. `enter`: a turn begins; `leave`: the loop ends by itself."""
+    """Loop, described for induction.
+
+    `before` has the facts before the loop; `start` those at its head, which depend only on what the loop does not
+    change: variables outside of `changed`, and lengths of variables in `sized`. `enter` adds the facts at the begin of
+    an iteration, `leave` those when the loop ends without `break`.
+
+    For a loop that counts, `first`, `next` and `last` set its variable to the value at the loop's begin, in the next
+    iteration, and at its end. `counter` is that variable. `stop` is the first value that it does not take, if it counts
+    up and the value is known.
+    """
 
     before: Flow
     start: Flow
@@ -49,14 +55,14 @@ class Turns(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Conditions that hold at the head of each turn, and those of them that also hold behind the loop."""
+    """Conditions that hold at the head of each iteration, and those of them that also hold after the loop."""
 
     inside: tuple[Candidate, ...]
     behind: tuple[Candidate, ...]
 
 
 class _Ways:
-    """Ends of a turn, and exits by `break`, each with the facts known there."""
+    """Ends of an iteration, and exits by `break`, each with the facts known there."""
 
     def __init__(self) -> None:
         self.turned: list[Flow] = []
@@ -64,12 +70,15 @@ class _Ways:
 
 
 class _TooMany(Exception):
-    """The block has more ways through it than are looked at."""
+    """The block has more paths through it than `MOST_WAYS`."""
 
 
 def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
-    """Return the candidates that hold at the loop's head at all times. Sound: each of them is shown where the loop
-    begins, and at the end of each way through the block, given that all of them hold at its head."""
+    """Return the candidates that always hold at the loop's head.
+
+    Sound: each of them is proved before the loop, and at the end of each path through the block under the assumption
+    that all of them hold at its head.
+    """
     begins = turns.first(turns.before)
     found = [candidate for candidate in candidates if _shown(candidate, begins)]
     while found:
@@ -95,12 +104,12 @@ def _holds_behind(candidate: Candidate, turns: Turns, broken: list[Flow]) -> boo
 
 
 def behind(turns: Turns, found: Kept) -> Flow:
-    """Return the facts known behind a loop."""
+    """Return the facts known after a loop."""
     return turns.leave(knowing(turns.last(turns.start), found.behind))
 
 
 def knowing(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
-    """Return the facts known at a point where the candidates hold, too."""
+    """Return the facts at a point, with the candidates added."""
     known = flow
     for candidate in candidates:
         known = known.knowing(candidate(flow))
@@ -115,7 +124,7 @@ def _shown(candidate: Candidate, flow: Flow) -> bool:
 
 
 def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
-    """Return the facts known at the end of a block, on each way to it. Raises _TooMany."""
+    """Return the facts at the end of a block, for each path to it. Raises _TooMany."""
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
@@ -147,7 +156,7 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
 
 
 def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
-    """Return the facts known behind a loop within the block: those about variables that it may write are dropped."""
+    """Return the facts after a nested loop: facts about variables that it may write are dropped."""
     changed = {name for name, _ in writes(loop.block)}
     sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
@@ -156,8 +165,7 @@ def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
 
 
 def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
-    """Yield the variables that a block may write, by their names in a Flow, and whether a write leaves the length as it
-    was."""
+    """Yield each write in a block: the variable's name in a Flow, and whether the write keeps its length."""
     for statement in statements(block):
         match statement:
             case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
@@ -174,12 +182,12 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
 
 
 def written_down(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
-    """The program's loop invariants, each condition that `and` joins by itself."""
+    """Return the program's loop invariants as candidates, one for each condition that `and` joins."""
     return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
 
 
 def conjuncts(node: ir.Expr) -> list[ir.Expr]:
-    """Return what a condition joins by `and`."""
+    """Return the conditions that a condition joins by `and`."""
     if isinstance(node, ir.Logic) and node.op == "and":
         return conjuncts(node.left) + conjuncts(node.right)
     return [node]
@@ -190,7 +198,10 @@ def _holds(node: ir.Expr) -> Candidate:
 
 
 def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
-    """Bounds of the ints that a loop writes: what they begin with, the condition of `while`, the loop's variable."""
+    """Return guessed bounds of the ints that a loop writes.
+
+    Bounds are their initial values, the condition of `while`, and the loop's variable.
+    """
     reads = dict.fromkeys(_counted(turns.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
@@ -198,7 +209,7 @@ def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
         if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
         found += _known(read, turns)
-        if turns.stop is not None:  # where an element was found: behind, or at, where the loop has come to
+        if turns.stop is not None:  # for a search: the index of a match is at most the current index
             here = linear.variable(turns.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
             found.append(_at_most(read, linear.combine(turns.stop, linear.constant(-1))))
@@ -217,7 +228,7 @@ def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
 
 
 def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
-    """The reads of the ints that a block writes."""
+    """Yield a read of each int variable that a block assigns."""
     for statement in statements(block):
         match statement:
             case stmt.Assign(stmt.TempPlace(name), value, span) if value.type is INT:
@@ -231,7 +242,7 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
 
 
 def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
-    """The comparisons of a variable that are known where the loop begins."""
+    """Yield the comparisons of a variable that are known before the loop."""
     name = variable_of(read)
     for fact in turns.before.facts:
         for part in fact.parts if isinstance(fact, linear.And) else (fact,):
@@ -254,7 +265,7 @@ def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
 
 
 def _now(bound: Linear, flow: Flow) -> Linear:
-    """Return a bound at a point, with the value of each variable whose value is known there."""
+    """Return a bound at a point, with each variable replaced by its value if that is known there."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
         if isinstance(var, str) and isinstance(known, Linear):
@@ -269,7 +280,10 @@ def _term(read: ir.Expr, flow: Flow) -> Linear:
 
 
 def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns) -> list[Candidate]:
-    """sign * read <= sign * bound + beyond; or, where the loop may begin past that, as far as where it begins."""
+    """Return the candidate sign * read <= sign * bound + beyond.
+
+    If the variable may begin outside of this bound, the candidate also allows values up to its initial value.
+    """
 
     def within(flow: Flow) -> Formula:
         end = term(bound, flow)

@@ -1,4 +1,4 @@
-"""K032, K033: a divisor differs from zero."""
+"""K032, K033: divisors must differ from zero."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from koordgen.lang.source import Span
 
 
 def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether a divisor differs from zero here, always. Report a wrong or a doubtful one."""
+    """Return whether a divisor is proved to differ from zero. Reports one that is, or may be, zero."""
     if type(divisor) is ir.Widen and type(divisor.operand) is ir.Const:
         divisor = divisor.operand
     if type(divisor) is ir.Const and divisor.value:

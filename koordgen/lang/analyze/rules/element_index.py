@@ -1,4 +1,7 @@
-"""K030, K034, K036: an index of a list, a queue or a text is in its range, and counts from the start."""
+"""K030, K034, K036: indices of lists, queues and strings must be in range.
+
+Negative ones do not count from the end.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ from koordgen.lang.source import Span
 
 
 def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether 0 <= index < len(operand) here, always. Report a wrong or a doubtful index."""
+    """Return whether 0 <= index < len(operand) is proved.
+
+    Reports an index that is, or may be, out of range.
+    """
     if a.flow is None or a.poisoned:
         return False
     value, size = term(index, a.flow), length(operand, a.flow)
@@ -53,7 +59,7 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) ->
 def _element_refuted(
     sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, span: Span, a: Analysis
 ) -> bool:
-    """Report an index that is wrong for an example, or in every case. Return whether it was reported."""
+    """Report an index that is always wrong, or wrong for an example. Returns whether it was reported."""
     text = a.text(span)
     if never(linear.negate(bad), a) and not never(linear.TRUE, a):
         many = "" if size.terms else f": there are {size.constant} elements" if size.constant != 1 else ": there is one"
@@ -74,7 +80,10 @@ def _element_refuted(
 
 
 def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether an end of a slice, or a place to insert at, is 0 or more here, always. Report it otherwise."""
+    """Return whether the end of a slice, or the position of an insertion, is proved to be >= 0.
+
+    Report it otherwise.
+    """
     if a.flow is None or a.poisoned:
         return False
     value = term(end, a.flow)
@@ -93,6 +102,6 @@ def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
 
 
 def holds_some(values: ir.Expr, a: Analysis) -> bool:
-    """Return whether a value has an element here, always."""
+    """Return whether a list, queue or string is proved to be non-empty."""
     many = length(values, a.flow) if a.flow is not None and has_length(values.type) else None
     return many is not None and never(linear.less(many, linear.constant(1)), a)

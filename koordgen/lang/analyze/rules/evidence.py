@@ -1,4 +1,4 @@
-"""Evidence about an index or a divisor at a point (K030): what cannot hold, examples of what can, and their words."""
+"""Evidence about an index or a divisor (K030): proofs that it is right, examples where it is wrong."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ def help_of(a: Analysis) -> str:
 
 
 def open_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
-    """Return what remains to be shown of an index where one side is shown already, in Koord's words."""
+    """Return the unproved bound of an index, as Koord writes it, if the other bound is proved.
+
+    Empty otherwise.
+    """
     if value is None or size is None:
         return ""
     above, below = never(linear.less(value, ZERO), a), never(linear.at_least(value, size), a)
@@ -32,13 +35,15 @@ def open_side(value: Linear | None, size: Linear | None, index: str, many: str, 
 
 
 def untold(open_: str) -> str:
-    """Return the end of a message about a condition that nothing shows; empty for a long one."""
+    """Return the end of a message about an unproved condition; empty if the condition is long."""
     return f": nothing says that {open_}" if 0 < len(open_) <= 60 else ""
 
 
 def is_right_by_default(bad: Formula, a: Analysis) -> bool:
-    """Return whether nothing is wrong as long as the params have the values that the program gives them. A fleet file
-    may give others, so it is still checked at run time."""
+    """Return whether `bad` cannot hold if all params have their defaults.
+
+    Then nothing is reported. A fleet file may give other values, so the condition is still checked at run time.
+    """
     assert a.flow is not None
     names = names_of(bad)
     facts = a.flow.relevant(names)
@@ -48,7 +53,7 @@ def is_right_by_default(bad: Formula, a: Analysis) -> bool:
 
 
 def _default(name: str, a: Analysis) -> list[Formula]:
-    """Return the facts that a param's default gives."""
+    """Return the facts that hold if a param has its default."""
     param = a.params.get(name)
     if param is None:
         return []
@@ -69,8 +74,10 @@ def _default(name: str, a: Analysis) -> list[Formula]:
 
 
 def holds_never(bad: Formula, a: Analysis) -> bool:
-    """Return whether `bad`, with which an index or a divisor would be wrong, cannot hold here. In an effect the
-    question is kept: see `opposite_guard`."""
+    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold here.
+
+    In an effect the condition is also saved in `a.sites`, for `opposite_guard`.
+    """
     assert a.flow is not None
     if a.place == "effect":
         guard = None if a.guard is None else a.guard.formula
@@ -85,8 +92,10 @@ def never(condition: Formula, a: Analysis) -> bool:
 
 
 def refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis) -> tuple[Example | None, bool]:
-    """An example of a robot for which `side` holds, and whether that is certain: no matter what else is the case,
-    or because `bad` holds whenever one gets here."""
+    """Return an example of a robot for which `side` holds, or None, and whether the error is certain.
+
+    It is certain if the example depends on nothing unknown, or if `bad` holds whenever this point is reached.
+    """
     assert a.flow is not None
     names = [var for value in values for var in linear.variables(value)]
     if not all(_is_given(name, a) for name in names):
@@ -103,7 +112,7 @@ def _is_given(name: object, a: Analysis) -> bool:
 
 
 def robots_of(side: Formula, value: Linear, example: Example, a: Analysis) -> tuple[str, str]:
-    """The robots for which it goes wrong, and the index in their terms: ("robot N_SYS - 1", "N_SYS")."""
+    """Return the robots for which a value is wrong, and the value for them: ("robot N_SYS - 1", "N_SYS")."""
     assert a.flow is not None
     here = linear.constant(example.values[PID])
     for robot in (_LAST, here):
@@ -119,15 +128,17 @@ def _index(shown: Linear, value: Linear, example: Example) -> str:
 
 
 def example_text(example: Example, value: Linear) -> str:
-    """Return an example in words: "for example pid = 0 of N_SYS = 3"."""
+    """Return an example as text: "for example pid = 0 of N_SYS = 3"."""
     others = [n for n in dict.fromkeys(linear.variables(value)) if isinstance(n, str) and n not in (PID, N_SYS)]
     given = "".join(f", {n.rpartition(' ')[2]} = {example.values[n]}" for n in others)
     return f"for example pid = {example.values[PID]} of N_SYS = {example.values[N_SYS]}{given}"
 
 
 def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: Span, a: Analysis) -> bool:
-    """Return whether an index was reported that is sure to be wrong in the first or the last run of the loop around.
-    `many`: the size in Koord's words."""
+    """Report an index that is certainly wrong in the first or last iteration of the innermost loop.
+
+    Returns whether it was reported. `many` is the size as Koord writes it.
+    """
     runs = None if a.loop is None else sure(a.loop, span, (value, size))
     if a.loop is None or runs is None:
         return False
@@ -146,7 +157,12 @@ def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: 
 def _wrong_run(
     runs: tuple[Linear, ...], var: str, value: Linear, size: Linear, a: Analysis
 ) -> tuple[Linear, str] | None:
-    """A value of `var`, of those in `runs`, with which an index is wrong for all robots, or else for an example."""
+    """Return a value of the loop's variable `var` that makes an index wrong, with the text of an example.
+
+    `runs` has the values to try.
+
+    Prefers a value that makes it wrong for all robots; the text is empty then. None if there is no certain one.
+    """
     bad = linear.Or((linear.at_least(value, size), linear.less(value, ZERO)))
     for at in runs:
         now = linear.equal(linear.variable(var), at)

@@ -1,6 +1,8 @@
-"""K057: first values of params, variables and fields are known in advance; one that robots may not keep is an error.
+"""K057: initial values of params, variables and fields must exist and be storable.
 
-The semantics evaluates them. It is imported where something is to be evaluated: most first values are literals.
+They are known at build time.
+
+The language's semantics evaluates them. It is imported on demand, because most initial values are literals.
 """
 
 from __future__ import annotations
@@ -20,8 +22,11 @@ _FITS = "robots keep ints of 64 bits, floats up to about 1.8e308, and what the d
 
 
 class Flaw(NamedTuple):
-    """Why a first value is none that robots may keep. `span` is the expression without a value; None where all have
-    one. `reason` follows on its text then, and else on the name of the variable."""
+    """Reason why robots cannot store an initial value.
+
+    `span` is the part that has no value, or None if all parts have one. `reason` completes a sentence about that part,
+    or else about the variable.
+    """
 
     span: Span | None
     reason: str
@@ -29,7 +34,7 @@ class Flaw(NamedTuple):
 
 
 def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
-    """Report a first value that does not exist, or that robots may not keep."""
+    """Report an initial value that does not exist, or that robots cannot store."""
     wrong = flaw_of(value, type_, {name: param.default for name, param in a.params.items()})
     if wrong is not None:
         what = f"the first value of {name}" if wrong.span is None else a.text(wrong.span)
@@ -37,8 +42,12 @@ def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> No
 
 
 def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:
-    """Return what is wrong with the first value of something of that type, if something is; `params` are the values of
-    params. What contains an error that was reported is not judged."""
+    """Return why an initial value of this type is wrong.
+
+    None if it is right or has an error that is already reported.
+
+    `params` has the values of params.
+    """
     if _plain(value):
         return None
     read = {part.name: params[part.name] for part in walk(value) if isinstance(part, ir.ParamRead)}
@@ -51,7 +60,7 @@ def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw 
 
 
 def _plain(value: ir.Expr) -> bool:
-    """Return whether a first value is made of literals alone: these are judged where they are read."""
+    """Return whether an initial value consists of literals only, which the parser has checked."""
     match value:
         case ir.Const():
             return True

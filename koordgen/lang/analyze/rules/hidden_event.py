@@ -1,4 +1,4 @@
-"""K042: an event whose guard holds only where that of an earlier event holds."""
+"""K042: an event whose guard holds only if an earlier event's guard holds, which then runs instead."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from koordgen.lang.ir import decl
 
 
 class Judged(NamedTuple):
-    """An event that was judged: its guard, and the texts of what the guard joins by `and`. `always`: the guard holds in
-    every state."""
+    """An analysed event.
+
+    `guard` is None if it has an error. `conditions` has the texts of the conditions that the guard joins by `and`.
+
+    `always`: the guard holds in every state.
+    """
 
     event: decl.Event
     guard: Condition | None
@@ -22,12 +26,14 @@ class Judged(NamedTuple):
 
 
 def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judged], findings: Findings) -> bool:
-    """Warn of an event whose guard holds only where that of an event of `hiding` holds. `first` are the events that
-    have priority over it. Return whether it was reported."""
+    """Warn of an event that events in `hiding` hide: its guard holds only if theirs hold.
+
+    `first` has the events with priority over it. Returns whether it was reported.
+    """
     ahead = [other for other in hiding if any(other is earlier for earlier in first)]
     if not hiding:
         return False
-    other = min(ahead or hiding, key=lambda judged: judged.event.span.line)  # the first in the text is reported
+    other = min(ahead or hiding, key=lambda judged: judged.event.span.line)  # name the first one in the text
     name, earlier = event.name, other.event.name
     label = Label(other.event.span, f"stands before, and {'is always enabled' if other.always else 'asks for no more'}")
     why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, {earlier}'s does"

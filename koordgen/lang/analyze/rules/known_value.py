@@ -1,4 +1,4 @@
-"""K012, K057: powers and functions of numbers that are written out, and that have no value."""
+"""K012, K057: powers and functions of constant numbers that have no value."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TAKES["acos"] = _TAKES["asin"]
 
 
 def judge_power(value: ir.Binary, a: Analysis) -> None:
-    """Report a power of ints below zero, which is no int, and a power of floats that is no number."""
+    """Report an int with a negative exponent, and a power of floats without a value."""
     if value.type is INT:
         _judge_exponent(value.right, value.span, a)
         return
@@ -30,7 +30,7 @@ def _judge_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
 
 
 def judge_function(value: ir.Builtin, a: Analysis) -> None:
-    """Report a function of a number for which it has no value."""
+    """Report a function of a constant for which it has no value."""
     _judge(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
 
 

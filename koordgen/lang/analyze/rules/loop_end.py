@@ -1,7 +1,7 @@
-"""K035: a `while` whose end cannot be seen.
+"""K035: a `while` that is not proved to end.
 
-Its end is seen where the condition compares a number, or a length, with what the loop leaves alone, and every way
-through the loop moves the number towards it by a constant step.
+The proof: the condition compares a number, or a length, with a value that the loop does not change, and every path
+through the loop moves the number towards this value by a constant step.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _HELP = "a round must end: let the condition compare a number that each way thro
 
 
 class _Wrong(Exception):
-    """Something moves the number another way, or not at all."""
+    """A path that moves the number in the wrong direction, or that continues without moving it."""
 
 
 def judge_end(node: stmt.While, findings: Findings) -> None:
-    """Warn of a loop whose end cannot be seen, unless there is an error in it."""
+    """Warn of a loop that is not proved to end, unless it contains an error."""
     if not _ends(node) and not any(_is_wrong(part) for part in walk(node)):
         findings.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
 
@@ -70,7 +70,7 @@ def _moves_towards(moved: ir.Expr, other: ir.Expr, step: int, block: stmt.Block)
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:
-    """Return whether the number has moved when the end of the block is reached; True where no run reaches it."""
+    """Return whether every path to the end of the block moves the number; True if no path reaches the end."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):
@@ -91,7 +91,10 @@ def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, mo
 
 
 def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
-    """Return whether a statement moves the number by a step the right way. Raises _Wrong where it changes otherwise."""
+    """Return whether a statement moves the number in the right direction.
+
+    Raises _Wrong if it changes it otherwise.
+    """
     if not isinstance(statement, stmt.Assign) or variable_of(statement.place) != name:
         return False
     if not length:
@@ -110,7 +113,7 @@ def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
 
 
 def _step(name: str, value: ir.Expr) -> float:
-    """Return by how much `name = value` moves it; 0 where that is not known."""
+    """Return by how much `name = value` changes the variable; 0 if this is not known."""
     match value:
         case ir.Binary("+" | "-" as sign, first, by) if variable_of(first) == name:
             return _number(by) if sign == "+" else -_number(by)
@@ -129,7 +132,7 @@ def _number(node: ir.Expr) -> float:
 
 
 def _returns_to_start(block: Sequence[draft.Draft]) -> bool:
-    """Return whether the loop may run a second time: its block ends, or goes on with the next turn."""
+    """Return whether the loop may run a second time: some path reaches the block's end or a `continue`."""
     for statement in block:
         match statement:
             case stmt.Continue():
@@ -147,7 +150,7 @@ def _returns_to_start(block: Sequence[draft.Draft]) -> bool:
 
 
 def _continues(block: Sequence[draft.Draft]) -> bool:
-    """Return whether some way through a block goes on with the loop around it."""
+    """Return whether some path through a block reaches a `continue` of the enclosing loop."""
     for statement in block:
         match statement:
             case stmt.Continue():

@@ -10,7 +10,7 @@ from koordgen.lang.ir.types import POISON
 
 
 def judge_end(function: decl.Function, findings: Findings) -> None:
-    """Report a function whose end some run reaches, unless the text contains what could not be read."""
+    """Report a function whose end is reachable, unless a statement of it could not be parsed."""
     parts = list(walk(function.block))
     if any(isinstance(part, Unread) for part in parts):
         return

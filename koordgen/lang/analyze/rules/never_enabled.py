@@ -1,4 +1,4 @@
-"""K041, K042: an event whose guard never holds, or only where an event with priority runs."""
+"""K041, K042: an event whose guard never holds, or holds only if an event with priority can run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from koordgen.lang.diagnostics import Label
 from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl
 
-MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
+MOST_EARLIER = 10  # number of guards with priority to consider; leaving guards out only loses warnings
 _NOTHING: frozenset[str] = frozenset()
 
 
 def can_run(event: decl.Event, guard: Condition, first: Sequence[Judged], findings: Findings) -> bool:
-    """Return whether a guard may hold where the guards of `first` are false. Warn where it cannot."""
+    """Return whether a guard may hold while the guards of `first` are false; warn if it cannot."""
     if (not first and is_open(guard.node, _NOTHING)) or guard.formula == linear.UNKNOWN:
         return True
     name = event.name

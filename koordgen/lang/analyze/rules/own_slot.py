@@ -1,4 +1,4 @@
-"""K021: a robot writes its own slot of an allread variable only."""
+"""K021: a robot may only write its own slot of an allread variable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PID = linear.variable(linear.PID)
 
 
 def is_own(place: SlotPlace, a: Analysis) -> bool:
-    """Return whether the index of a slot that is written is `pid` here, always. Report it otherwise."""
+    """Return whether the index of a written slot is proved to be `pid`; report it otherwise."""
     if a.flow is None or a.poisoned:
         return True
     value = term(place.index, a.flow)

@@ -1,4 +1,4 @@
-"""K044: an event that is no transaction writes a variable that transactions write."""
+"""K044: an event without `atomic` writes a variable that transactions write."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from koordgen.lang.source import Span
 def judge_plain_writes(
     found: Sequence[tuple[decl.Event, Atomic | None]], used: Sequence[set[str]], findings: Findings
 ) -> None:
-    """Warn of plain events that write what a transaction writes. `found`: the events, each with its first `atomic`;
-    `used`: the shared variables of each that is a transaction."""
+    """Warn of plain events that write a variable that a transaction writes.
+
+    `found` has the events, each with its first `atomic` or None. `used` has for each transaction its shared variables,
+    for each plain event an empty set.
+    """
     guarded: dict[str, tuple[str, Span]] = {}
     for (event, atomic), names in zip(found, used, strict=True):
         if names and atomic is not None:

@@ -1,4 +1,4 @@
-"""K030, K031: an index of an allread variable names a robot of the fleet."""
+"""K030, K031: an index of an allread variable must name a robot of the fleet."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SIZE = linear.variable(N_SYS)
 
 
 def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether 0 <= index < N_SYS here, always. Report a wrong or a doubtful index."""
+    """Return whether 0 <= index < N_SYS is proved. Reports an index that is, or may be, out of range."""
     if type(index) is ir.Pid:
         return True
     if a.flow is None or a.poisoned:

@@ -1,4 +1,4 @@
-"""K043: a statement, a branch or a loop that can never run."""
+"""K043: statements, branches and loops that can never run."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from koordgen.lang.source import Span
 
 
 def _is_impossible(condition: Formula, before: Flow) -> bool:
-    """Return whether a condition contradicts what is known."""
+    """Return whether a condition contradicts the facts before it."""
     if condition is linear.UNKNOWN:
         return False
     names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
-        # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.
+        # Without facts about its names, a condition is impossible only if it contradicts itself; one comparison cannot.
         match condition:
             case Fact():
                 return False
@@ -32,17 +32,17 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
 
 
 def judge_statement(span: Span, a: Analysis) -> None:
-    """Warn of the first statement behind one that every run leaves."""
+    """Warn of the first statement that no path reaches."""
     a.warn("K043", "this statement can never run: every way to it has stopped or left", span)
 
 
 def judge_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
-    """Warn of a branch whose condition contradicts what is known where it is judged."""
+    """Warn of a branch whose condition contradicts the facts before it."""
     if _is_impossible(passed, before):
         a.warn("K043", f"this branch can never run: {a.text(condition.span)} never holds here", span)
 
 
 def judge_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
-    """Warn of a `while` whose condition is false where it begins."""
+    """Warn of a `while` whose condition is always false when the loop begins."""
     if not a.poisoned and _is_impossible(first, before):
         a.warn("K043", f"this loop can never run: {a.text(condition.span)} does not hold here", span)

@@ -1,4 +1,4 @@
-"""K041, beside K041 and K042 of other rules: events that wait for a bool that only waiting events set never run."""
+"""K041: events that wait for a bool that only events in the same situation set. They can never run."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import BOOL
 
-Starts = Mapping[str, object]  # local bools, with the values that they start with
+Starts = Mapping[str, object]  # name of a local bool -> its initial value
 
 
 def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings: Findings) -> None:
-    """Warn of each event whose guard asks for a local bool to be other than it starts, when only such events would
-    make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text. `is_whole` returns
-    whether all of the text could be read."""
+    """Warn of each event that waits for a bool which only such waiting events change.
+
+    The guard of such an event needs a local bool to differ from its initial value. A bool that no event sets is taken
+    for a switch that its author sets in the text. `is_whole` returns whether all of the text could be parsed.
+    """
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
     events = program.events
     asked = [_asked(event.guard, starts) for event in events]
@@ -44,7 +46,10 @@ def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings:
 
 
 def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
-    """Return the bools that must be other than they start for a guard to hold: those that it joins by `and`."""
+    """Return the bools that a guard needs to differ from their initial values.
+
+    Only conditions that the guard joins by `and` count.
+    """
     found: set[str] = set()
     pending = [guard]
     while pending:
@@ -59,7 +64,7 @@ def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
 
 
 def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts) -> set[str]:
-    """Return the bools that keep what they start with: the most for which that is consistent."""
+    """Return the bools that keep their initial values: the largest consistent set."""
     waiting: dict[str, list[int]] = {}
     for position, flags in enumerate(asked):
         for flag in flags:
@@ -87,7 +92,7 @@ def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ..
 
 
 def _turned(block: stmt.Block, starts: Starts) -> set[str]:
-    """Return the bools that a block may make other than they start."""
+    """Return the bools that a block may change from their initial values."""
     found: set[str] = set()
     for statement in statements(block):
         match statement:

@@ -494,7 +494,10 @@ def filled(pattern: Type, bound: Bound) -> Type | None:
 
 
 def shown(signature: Signature, skip: int = 0) -> str:
-    """Return the parameters of a builtin as text: "(Point, Point)". `skip`: how many to leave out; 1 for a method."""
+    """Return the parameters of a builtin as text: "(Point, Point)".
+
+    `skip`: how many to leave out; 1 for a method.
+    """
     return f"({', '.join(_shown(arg) for arg in signature.args[skip:])})"
 
 

@@ -43,7 +43,10 @@ def modern_logic(node: ast.Logic, c: Context) -> str:
 
 
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
-    """Return the modern form of a call of a function in `FUNCTIONS`; None if its arguments are not the dialect's."""
+    """Return the modern form of a call of a function in `FUNCTIONS`.
+
+    None if its arguments are not the dialect's.
+    """
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None
     if name.name == "pos3d":

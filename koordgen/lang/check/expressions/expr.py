@@ -1,4 +1,4 @@
-"""Expressions: operators, literals, conditionals, and the table that dispatches to the checker of each node class."""
+"""Expressions: operators, literals, conditionals, and the table of the checkers of all node classes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,10 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
-    """Return `left op right`, typed. Only literal divisors are marked as non-zero here; the analysis finds others."""
+    """Return `left op right`, typed.
+
+    Only literal divisors are marked as non-zero here; the analysis finds others.
+    """
     first, second = left.type, right.type
     if first is POISON or second is POISON:
         return c.poison(span, left, right)

@@ -148,7 +148,10 @@ def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
-    """Report that the current section cannot read a robot's state; None if it can. `what` is "the port " or similar."""
+    """Report that the current section cannot read a robot's state; None if it can.
+
+    `what` is "the port " or similar.
+    """
     match c.place:
         case "init" | "guard" | "effect":
             return None
@@ -232,7 +235,10 @@ def is_event(name: str, c: Context) -> bool:
 
 
 def ended(name: str, span: Span, c: Context) -> bool:
-    """Report a use of a variable after the block or loop that declares it; False if the name is no such variable."""
+    """Report a use of a variable after the block or loop that declares it.
+
+    False if the name is no such variable.
+    """
     if name not in c.minted or c.program is None:
         return False
     here = span.line, span.column

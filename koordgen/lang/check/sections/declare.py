@@ -1,4 +1,7 @@
-"""Records, params and variables. Their types come before their initial values, so they may stand in any order."""
+"""Records, params and variables.
+
+Their types come before their initial values, so they may stand in any order.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
 
 
 def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
-    """Define the types of records. Returns the records, each after those in its fields; wrong ones have no type."""
+    """Define the types of records.
+
+    Returns the records, each after those in its fields; wrong ones have no type.
+    """
     from koordgen.lang.check.graph import ordered
 
     for node in sections:
@@ -195,7 +201,10 @@ def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...]
 def _initial(
     node: ast.Variable | ast.Param, value: tree.Expr | None, type_: Type, c: Context, no_params: str = ""
 ) -> expr.Expr:
-    """Check an initial value. It may use literals, builtins and params; no params if `no_params` has a message."""
+    """Check an initial value.
+
+    It may use literals, builtins and params; no params if `no_params` has a message.
+    """
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")

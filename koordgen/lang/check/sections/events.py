@@ -27,7 +27,10 @@ def in_text_order(sections: Iterable[ast.Section]) -> list[tuple[ast.Event, int 
 
 
 def events(written: list[tuple[ast.Event, int | None]], c: Context) -> tuple[decl.Event, ...]:
-    """Check the events; return those with a guard and an effect, in the order of the text, without their locks."""
+    """Check the events.
+
+    Return those with a guard and an effect, in the order of the text, without their locks.
+    """
     found: list[decl.Event] = []
     names: dict[str, Span] = {}
     for node, block in written:

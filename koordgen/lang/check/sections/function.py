@@ -1,4 +1,4 @@
-"""Functions: signatures, then bodies and contracts, so that functions may call each other in any order."""
+"""Functions: signatures first, so that they may call each other in any order; then bodies, contracts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ Signature = tuple[tuple[decl.Parameter, ...], Type]
 
 
 def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
-    """Define a function and return its parameters and result type: POISON if the type is wrong or not known yet."""
+    """Define a function and return its parameters and result type.
+
+    The result type is POISON if it is wrong or not known yet.
+    """
     parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
     result = POISON if node.result is None else resolve(node.result, c)
     entity: decl.Function | decl.ExternFunction | decl.SpecFunction
@@ -163,7 +166,10 @@ def _closing_bracket(node: ast.Function, c: Context) -> Span:
 
 
 def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.ExternFunction, ...]:
-    """Check the contracts of extern functions. Their formulas may call functions, which must be defined by now."""
+    """Check the contracts of extern functions.
+
+    Their formulas may call functions, which must be defined by now.
+    """
     return tuple([_extern(node, c) for node in sections])
 
 

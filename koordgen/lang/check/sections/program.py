@@ -30,7 +30,7 @@ from koordgen.lang.syntax import decl as ast
 
 
 class Typed(NamedTuple):
-    """Result of the first check: a program with names and types, whose nodes include drafts (see `ir.draft`)."""
+    """Result of the first check: a program with names and types, with drafts among its nodes (`ir.draft`)."""
 
     program: decl.Program
     found: list[Diagnostic]

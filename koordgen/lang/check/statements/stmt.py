@@ -145,7 +145,10 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
 
 
 def _type(node: tree.Declare, c: Context) -> Type:
-    """Return the type of a declaration. Reports a statement of another language that parses as one: `global n`."""
+    """Return the type of a declaration.
+
+    Reports a statement of another language that parses as one: `global n`.
+    """
     written = node.type
     if isinstance(written, NamedType) and written.name not in NAMED and written.name not in c.types:
         from koordgen.lang.syntax.habits import FOREIGN
@@ -238,7 +241,10 @@ def _if(node: tree.If, c: Context, out: Out) -> None:
 
 
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
-    """Check `atomic:`. It makes the whole event a transaction, so its block follows the `draft.Atomic` marker."""
+    """Check `atomic:`.
+
+    It makes the whole event a transaction, so its block follows the `draft.Atomic` marker.
+    """
     if c.atomic:
         c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
     elif c.place == "function":

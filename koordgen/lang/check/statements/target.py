@@ -223,7 +223,10 @@ def _part(outer: Target, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> Ta
 
 
 def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
-    """Return an index that can be read twice. If it has a call, a temp before the statement keeps its value."""
+    """Return an index that can be read twice.
+
+    If it has a call, a temp before the statement keeps its value.
+    """
     if not has_call(index):
         return index
     name = c.mint("index")
