@@ -1,7 +1,8 @@
-"""The nodes that the grammar's rules make: each function gets a rule's children, tokens included.
+"""Builders of syntax tree nodes: one function for each grammar rule, called with the rule's children.
 
-The names are those of koord.lark; lr.py looks them up here. A function refuses only what the grammar cannot see:
-a number or an escape that does not exist, a tuple of one, a chain too long, an expression in a type's place.
+The functions are named like the rules of koord.lark; lr.py looks them up here. They reject errors that the grammar
+cannot express: invalid numbers and escapes, a tuple with one item, a chain that is too long, an expression in place of
+a type.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl, expr, stmt, types
 
-Children = list[Any]  # of tokens (tuples of four), nodes, and blocks (tuples of statements)
+Children = list[Any]  # tokens (tuples of four), nodes, and blocks (tuples of statements)
 
 
 class Refused(Exception):
-    """A rule whose children cannot be accepted."""
+    """A builder rejected the children of its rule."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
         super().__init__(diagnostic.message)
@@ -27,18 +28,18 @@ class Refused(Exception):
 
 
 def refused(code: str, message: str, span: Span, help: str = "") -> Refused:
-    """To be raised."""
+    """Make an exception to raise, with an error at `span`."""
     return Refused(Diagnostic(code, "error", message, span, help=help))
 
 
 def token_span(token: tuple[str, str, int, int]) -> Span:
-    """Where a token stands."""
+    """Return the span of a token."""
     _, text, line, column = token
     return Span(line, column, line, column + len(text))
 
 
 def reach(first: Any, last: Any) -> Span:
-    """From the beginning of one token or node to the end of another."""
+    """Return the span from the beginning of one token or node to the end of another."""
     if first.__class__ is tuple:
         line, column = first[2], first[3]
     else:
@@ -51,13 +52,13 @@ def reach(first: Any, last: Any) -> Span:
 
 
 def across(first: Any, last: Any) -> Span:
-    """From the beginning of one node to the end of another."""
+    """Return the span from the beginning of one node to the end of another."""
     start, end = first.span, last.span
     return Span(start.line, start.column, end.end_line, end.end_column)
 
 
 def nodes(children: Children) -> tuple[Any, ...]:
-    """The children that are neither tokens nor blocks."""
+    """Return the children that are neither tokens nor blocks."""
     return tuple([c for c in children if c.__class__ is not tuple])
 
 
@@ -114,7 +115,7 @@ def array(c: Children) -> decl.Variable:
 
 
 def _optional(c: Children) -> tuple[tuple[Any, ...], Any]:
-    """The capacities and the initial value among what follows a variable's name and size."""
+    """Return the capacities and the initial value from the children after a variable's name and size."""
     found = nodes(c)
     if any(type(child) is tuple and child[0] == "=" for child in c):
         return found[:-1], found[-1]
@@ -159,7 +160,7 @@ def _parameters(c: Children) -> tuple[decl.Parameter, ...]:
 
 
 def _result(c: Children) -> Any:
-    """The type behind `->`, if there is one."""
+    """Return the type after `->`, or None."""
     for mark, node in pairwise(c):
         if type(mark) is tuple and mark and mark[0] == "->":
             return node
@@ -191,7 +192,7 @@ def effect(c: Children) -> decl.Effect:
     return decl.Effect(c[2], token_span(c[0]))
 
 
-_FOREIGN = frozenset(("let", "var", "const", "auto", "import", "from"))  # `let x = 3` reads as a declaration
+_FOREIGN = frozenset(("let", "var", "const", "auto", "import", "from"))  # `let x = 3` parses as a declaration
 
 
 def named_type(c: Children) -> types.NamedType:
@@ -222,7 +223,7 @@ def list_type(c: Children) -> types.GenericType:
 
 
 def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
-    """What was read as an expression, because a type may begin like one."""
+    """Convert a node to a type. It was parsed as an expression if its beginning fits both."""
     match node:
         case types.NamedType() | types.GenericType() | types.TupleType() | types.BrokenType():
             return node
@@ -255,7 +256,7 @@ def quantified(c: Children) -> expr.Quantified:
 
 
 def names(tokens: Children) -> tuple[expr.Name, ...]:
-    """The names of a list with commas."""
+    """Return the names of a list with commas between them."""
     return tuple(expr.Name(token[1], token_span(token)) for token in tokens[::2])
 
 
@@ -352,7 +353,10 @@ def boolean(c: Children) -> expr.Literal:
 
 
 def group(c: Children) -> expr.Expr:
-    """Parentheses leave no node; what they enclose now spans them."""
+    """Return the expression in parentheses, with a span that includes them.
+
+    They have no node of their own.
+    """
     node: expr.Expr = replace(c[1], span=reach(c[0], c[2]))
     return node
 
@@ -382,7 +386,7 @@ def _shown(text: str) -> str:
     return text if len(text) <= 30 else f"{text[:12]}... ({len(text)} digits)"
 
 
-MOST_ELIFS = 100  # each becomes an `if` inside the `else` before it
+MOST_ELIFS = 100  # each becomes a nested `if` in the `else` of the one before
 
 
 def block(c: Children) -> stmt.Block:

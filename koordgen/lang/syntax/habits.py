@@ -1,4 +1,4 @@
-"""What one writes by the habit of Python or C, and how Koord has it; marks.py has their marks."""
+"""Errors for syntax of other languages, with the form that Koord has. marks.py has operators."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _WHILE = "write 'while condition:'"
 _CASES = "write a chain of if, elif, else"
 _RECORD = "a record is written 'def Name:', its fields below: Type field"
 _FUNCTION = "a function is written 'fun name(Type x) -> Type:'"
-# A word at which, or behind which, one is lost -> how Koord has it.
+# Keyword of another language, at or after which parsing fails -> help.
 FOREIGN = {
     "import": "a function written in Python is declared: extern fun name(Type x) -> Type",
     "from": "a function written in Python is declared: extern fun name(Type x) -> Type",
@@ -65,7 +65,7 @@ FOREIGN = {
     "decreases": "the condition of 'while' shows that a loop ends: leave the line out",
     "assert": "'invariant Name: ...' states what is to hold; an event's guard says when it may run",
 }
-# Types of other languages that hold others, as Koord has them.
+# Container types of other languages -> container types of Koord.
 _HOLDERS = {
     "list": "List", "vector": "List", "array": "List", "dict": "Map", "map": "Map", "hashmap": "Map", "set": "Set",
     "queue": "Queue", "deque": "Queue",
@@ -82,7 +82,7 @@ _SECTIONS = frozenset(
         "initially", "init",
     )
 )  # fmt: skip
-# Names that people give to the parts of an event.
+# Likely wrong names of an event's clauses -> right name.
 _PARTS = {
     "effect": "eff", "effects": "eff", "action": "eff", "actions": "eff",
     "precondition": "pre", "preconditions": "pre", "condition": "pre", "guard": "pre", "when": "pre", "requires": "pre",
@@ -91,7 +91,7 @@ _EVENT = "only events stand indented under 'priority:': 'Name:', and under it 'p
 
 
 def _braces(spot: Spot) -> Diagnostic | None:
-    """`if a {`; and `}` where nothing of ours is open."""
+    """Report a block in braces, as in `if a {`."""
     if spot.kind == "{" and not spot.wants_expression and not spot.bracket:
         return spot.error("a block stands in no braces", "end the header with ':' and indent the block's lines")
     return None
@@ -116,7 +116,7 @@ def _else(spot: Spot) -> Diagnostic | None:
 
 
 def _functions(spot: Spot) -> Diagnostic | None:
-    """Heads of functions as in Python."""
+    """Report function headers as in Python."""
     head = [token[0] for token in spot.head]
     if spot.kind == "(" and head[:1] == ["def"]:
         name = shown(spot.head[-1][1])
@@ -142,7 +142,7 @@ def _functions(spot: Spot) -> Diagnostic | None:
 
 
 def _brackets(spot: Spot) -> Diagnostic | None:
-    """Comprehensions, slices with a step, several indices, names of `for` in brackets."""
+    """Report comprehensions, slices with a step, several indices in one bracket, `for (a, b) in ...`."""
     bracket = spot.bracket
     if spot.kind == "for" and bracket:
         name = {"[": "list", "{": "set"}.get(bracket, "list")
@@ -162,7 +162,7 @@ def _brackets(spot: Spot) -> Diagnostic | None:
 
 
 def _lists_of_names(spot: Spot) -> Diagnostic | None:
-    """`a, b = pair` and `int a, b`."""
+    """Report several targets or declarations at once: `a, b = pair`, `int a, b`."""
     if spot.kind != "," or spot.bracket or spot.first[1] in ("global", "nonlocal", "del"):
         return None
     if spot.expected & {"pre", "eff"} or (spot.level() == 0 and spot.first[0] == "NAME" and spot.start == 0):
@@ -180,7 +180,7 @@ def _lists_of_names(spot: Spot) -> Diagnostic | None:
 
 
 def _types(spot: Spot) -> Diagnostic | None:
-    """Types that lack their items, `int x[]`, `List()`; a name without a type."""
+    """Report wrong types: `List x`, `int[] x`, `List()`, and names without a type."""
     before = spot.before
     if before is not None and before[0] == "GENERIC" and spot.expected == {"<"}:
         if spot.kind == "(":
@@ -220,7 +220,7 @@ def _types(spot: Spot) -> Diagnostic | None:
 
 
 def _annotation(spot: Spot) -> Diagnostic | None:
-    """`k: int = 3`"""
+    """Report a type after the name: `k: int = 3`."""
     name = spot.before
     if spot.kind != ":" or name is None or name[0] != "NAME" or not spot.rest:
         return None
@@ -234,7 +234,7 @@ def _annotation(spot: Spot) -> Diagnostic | None:
 
 
 def _words(spot: Spot) -> Diagnostic | None:
-    """Words of other languages."""
+    """Report keywords of other languages."""
     if spot.text == "is" and "==" in spot.expected:
         isnt = spot.next == "not"
         return spot.error("Koord has no 'is'", "'!=' compares" if isnt else "'==' compares")
@@ -251,7 +251,7 @@ def _words(spot: Spot) -> Diagnostic | None:
 
 
 def headers(spot: Spot) -> Diagnostic | None:
-    """Headers with a name too many or too few; statements and variables where none stand."""
+    """Report headers with a superfluous or missing name, and statements or variables in the wrong place."""
     if spot.position == 0:
         return _section(spot)
     told = _annotation(spot) or (_priority(spot) if spot.tokens[0][0] == "priority" else None)
@@ -297,7 +297,7 @@ def headers(spot: Spot) -> Diagnostic | None:
 
 
 def _priority(spot: Spot) -> Diagnostic | None:
-    """Mistakes in a `priority:` block: anything but events in it, a name in its header, a block within a block."""
+    """Report errors of a `priority:` block: a name in its header, anything but events in it, nesting."""
     found = f"'{shown(spot.text)}'" if spot.text else "the end of the line"
     if spot.level() == 0:
         if spot.kind == "NAME" and ":" in spot.expected:
@@ -332,7 +332,7 @@ def _section(spot: Spot) -> Diagnostic:
     return spot.error(f"expected a section, found '{shown(spot.text)}'", help)
 
 
-# In this order: the first that knows a mistake tells it.
+# Tried in this order; the first diagnostic is reported.
 HABITS: tuple[Callable[[Spot], Diagnostic | None], ...] = (
     _braces,
     _else,

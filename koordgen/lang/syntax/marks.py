@@ -1,4 +1,4 @@
-"""Characters and marks that Koord has not, or not so: what other languages mean by them, and how Koord has it."""
+"""Errors for characters and operators that Koord lacks, with the form that Koord has."""
 
 from __future__ import annotations
 
@@ -68,7 +68,10 @@ def _number(spot: Spot) -> Diagnostic:
 
 
 def _quotes(spot: Spot) -> Diagnostic | None:
-    """`f"..."`, also where its quote reads as a prime; strings side by side; texts of several lines."""
+    """Report string prefixes, adjacent strings and multi-line strings.
+
+    The quote of `f'...'` may have been read as a prime.
+    """
     before, head = spot.before, spot.head
     if before is None:
         return None
@@ -89,7 +92,7 @@ def _quotes(spot: Spot) -> Diagnostic | None:
 
 
 def _points(spot: Spot) -> Diagnostic | None:
-    """`1.`, and ranges as in other languages."""
+    """Report numbers such as `1.`, and ranges of other languages (`1..3`, `1 to 3`)."""
     dots = spot.before_is(".") and spot.text[:1] == "."
     if spot.first[0] == "for" and (dots or spot.text in ("to", "until", "downto")):
         return spot.error(f"expected ',' or ':', found '{spot.text}'", "write 'for i in range(a, b):'")
@@ -100,7 +103,7 @@ def _points(spot: Spot) -> Diagnostic | None:
 
 
 def _marks(spot: Spot) -> Diagnostic | None:
-    """Marks of other languages, which read as two of ours."""
+    """Report operators of other languages that are read as two of Koord's: `++`, `<>`, `=>`, `:=`."""
     head = spot.head
     for mark in ("+", "-"):
         doubled = len(head) > 1 and head[-1][0] == head[-2][0] == mark and head[-1][3] == head[-2][3] + 1
@@ -139,5 +142,5 @@ def _step(spot: Spot, mark: str, operand: str) -> Diagnostic:
     return spot.error(f"Koord has no '{mark}{mark}'", f"write {shown(operand)} {mark}= 1")
 
 
-# In this order: the first that knows a mistake tells it.
+# Tried in this order; the first diagnostic is reported.
 MARKS: tuple[Callable[[Spot], Diagnostic | None], ...] = (_character, _quotes, _points, _marks)

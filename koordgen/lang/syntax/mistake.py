@@ -1,4 +1,4 @@
-"""Says what is wrong where the parser cannot go on, in the words of the language."""
+"""Diagnostics of syntax errors."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _OPERATORS = {
     "[", "(", "'",
 }  # fmt: skip
 _AUGMENTED = {"+=", "-=", "*=", "/=", "//=", "%=", "**="}
-_UNSAID = {"!", "&&", "||"}  # the 2020 dialect is understood, not proposed
+_UNSAID = {"!", "&&", "||"}  # the 2020 dialect: accepted, but not suggested
 _CONDITIONS = {
     "pre", "if", "elif", "while", "assume", "requires", "ensures", "invariant", "initially", "axiom", "return",
 }  # fmt: skip
-_MADE = {name for name, _, _ in RULES}  # symbols that are no tokens
+_MADE = {name for name, _, _ in RULES}  # nonterminal symbols
 _WORDS = {
     "NAME": "a name",
     "GENERIC": "a type",
@@ -42,10 +42,10 @@ _WORDS = {
 
 
 def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic:
-    """The diagnostic for `tokens[position]`, with which the parser cannot go on.
+    """Return the diagnostic for `tokens[position]`, at which the parser cannot continue.
 
-    `states` is its stack behind the token before, when no rule is applied yet because of the refused one: an LALR
-    parser applies rules first and sees afterwards that a token does not fit; by then what would have fitted is lost.
+    `states` is the parser's stack after the previous token, before any reduction for the rejected one. An LALR parser
+    may reduce before it finds that a token does not fit; then the tokens that would have fitted are no longer known.
     """
     spot = Spot(tokens, position, _acceptable(states))
     for rule in (*MARKS, *HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
@@ -69,7 +69,7 @@ def _indentation(spot: Spot) -> Diagnostic | None:
 
 
 def _equals(spot: Spot) -> Diagnostic | None:
-    """`=` where nothing is assigned."""
+    """Report `=` in a place where nothing can be assigned."""
     if spot.kind != "=" or "==" not in spot.expected:
         return None
     if any(token[0] == "=" or token[0] in _AUGMENTED for token in spot.head) and not spot.bracket:
@@ -81,9 +81,12 @@ def _equals(spot: Spot) -> Diagnostic | None:
 
 
 def _governing(spot: Spot) -> str:
-    """The word that says what the line is: its first, or that of the header above a deeper line."""
+    """Return the keyword that determines the kind of a line.
+
+    It is the line's first word, or that of the header above its block.
+    """
     tokens, start = spot.tokens, spot.start
-    for token in reversed(spot.head):  # `E: pre: a = 3` begins with another word
+    for token in reversed(spot.head):  # `E: pre: a = 3` begins with the event's name
         if token[0] in _CONDITIONS:
             return token[0]
     if start > 2 and [token[0] for token in tokens[start - 3 : start]] == [":", "NEWLINE", "INDENT"]:
@@ -93,11 +96,11 @@ def _governing(spot: Spot) -> str:
 
 
 def _colon(spot: Spot) -> Diagnostic | None:
-    """A header without its colon."""
+    """Report a header without a colon."""
     if ":" not in spot.expected or spot.bracket:
         return None
     if spot.expected != {":"} and any(token[0] == ":" for token in spot.rest):
-        return None  # the colon is there: something else is wrong before it
+        return None  # the colon exists, so the error is something before it
     span = behind(spot.before) if spot.before is not None else spot.span
     help = ""
     header = spot.tokens[-1] if spot.ends else (spot.rest or [spot.first])[-1]
@@ -108,7 +111,7 @@ def _colon(spot: Spot) -> Diagnostic | None:
 
 
 def _outside(spot: Spot) -> str:
-    """What may have been meant by a line at the left margin that is no header."""
+    """Return a help for a line at the left margin that is not a header."""
     kinds = [token[0] for token in spot.tokens[: spot.position + 2]]
     if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:
         return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
@@ -116,7 +119,7 @@ def _outside(spot: Spot) -> str:
 
 
 def _taken(spot: Spot) -> Diagnostic | None:
-    """A word of the language where a name is to be."""
+    """Report a reserved word in place of a name."""
     word = spot.kind in KEYWORDS or spot.kind == "GENERIC" or (spot.kind == spot.text and spot.text.isalpha())
     if not word:
         return None
@@ -130,7 +133,7 @@ def _taken(spot: Spot) -> Diagnostic | None:
 
 
 def _one_formula(spot: Spot) -> Diagnostic | None:
-    """A second line under `pre:` or the header of a property."""
+    """Report a second expression under `pre:` or under the header of a property."""
     if spot.expected == {"DEDENT"}:
         return spot.error("a condition is one expression", "join conditions with 'and' or 'or'")
     return None
@@ -146,13 +149,16 @@ def _expected(spot: Spot) -> Diagnostic:
 
 
 def _acceptable(states: list[int]) -> set[str]:
-    """The tokens with which the parser could go on; a table's row alone also names some that fail later."""
+    """Return the tokens that the parser accepts next.
+
+    A row of the table alone includes some that fail later.
+    """
     return {symbol for symbol in STATES[states[-1]] if symbol not in _MADE and _accepts(states, symbol)}
 
 
 def _accepts(states: list[int], symbol: str) -> bool:
     top: list[int] = []
-    kept = len(states)  # the stack is the first `kept` states, then `top`: it may be too long to copy
+    kept = len(states)  # the stack is `states[:kept] + top`; it may be too long to copy
     while True:
         action = STATES[top[-1] if top else states[kept - 1]].get(symbol)
         if action is None:
@@ -167,7 +173,7 @@ def _accepts(states: list[int], symbol: str) -> bool:
 
 
 def _after(tokens: list[Token], position: int) -> str:
-    """`after 'pre'`, `after 'using Motion'`: the header before a token, at most its first words."""
+    """Return a phrase for the header before a token: `after 'pre'`, `after 'using Motion'`."""
     first = position
     while first and tokens[first - 1][0] not in ("NEWLINE", "INDENT", "DEDENT", ":"):
         first -= 1
@@ -186,7 +192,10 @@ def _after(tokens: list[Token], position: int) -> str:
 
 
 def _list(expected: set[str]) -> str:
-    """The acceptable tokens in words: what they begin first, then the marks; never many."""
+    """Return the accepted tokens as text: first phrases for the constructs that they begin, then marks.
+
+    At most four.
+    """
     expected = expected - _UNSAID
     groups = []
     if "using" in expected:
@@ -207,9 +216,9 @@ def _list(expected: set[str]) -> str:
         expected = expected - _AUGMENTED if "=" in expected else expected
         expected = expected - {"NAME"}
     if len(expected) > 1:
-        expected = expected - {"[", "max"}  # what may always follow is not what is missed
+        expected = expected - {"[", "max"}  # optional parts are rarely what is missing
     if "in" in expected:
-        expected = expected - {"="}  # of the 2020 dialect
+        expected = expected - {"="}  # only in the 2020 dialect
     groups += [_WORDS.get(symbol, f"'{symbol}'") for symbol in sorted(expected, key=lambda s: (s in _WORDS, s))]
     groups = list(dict.fromkeys(groups))
     if len(groups) > 4:

@@ -1,7 +1,7 @@
-"""Writes docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether that is
-due.
+"""Generator of docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`.
 
-What serves the machine alone is left out: the names of functions, the marks of inlining, and what stands for mistakes.
+With `--check` it only reports whether the page is out of date. The page leaves out technical parts of the grammar:
+names of functions, marks for inlining, and rules for error recovery.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
 
 
 def page(grammar: str) -> str:
-    """The page's text."""
+    """Return the text of the page."""
     parts = [_HEAD]
     for title, rules in _sections(grammar):
         parts.append(f"\n## {title}\n\n```\n" + "\n".join(map(_shown, rules)) + "\n```\n")
@@ -45,7 +45,10 @@ def page(grammar: str) -> str:
 
 
 def _sections(grammar: str) -> Iterator[tuple[str, list[str]]]:
-    """Title -> its rules, each with all its lines; a comment that begins with a capital is a title."""
+    """Yield each title with its rules, each with all its lines.
+
+    A comment with a capital initial is a title.
+    """
     title, rules = "Program", list[str]()
     for line in grammar.split("\n"):
         if line.startswith("// ") and rules and line[3].isupper() and not rules[-1].startswith("//"):

@@ -1,4 +1,4 @@
-"""Parser: text to syntax tree, one section at a time, with recovery from mistakes."""
+"""Parser: text to syntax tree, one section at a time, with error recovery."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from koordgen.lang.syntax.lr import Stuck, section
 
 
 def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
-    """The tree of a text and what is wrong with it. What could not be read stands in the tree as broken nodes, and
-    the text is right when nothing was found."""
+    """Return the syntax tree of a text and its diagnostics.
+
+    Text that could not be parsed is in the tree as broken nodes. Without diagnostics the text is right.
+    """
     collecting = gc.isenabled()
     gc.disable()  # a tree has no cycles; collecting while it grows doubles the time of a long program
     try:

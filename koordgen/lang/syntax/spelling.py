@@ -1,4 +1,4 @@
-"""Words of the language that were spelt wrongly."""
+"""Errors for misspelt keywords."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ _RIGHT = frozenset(("int", "float", "bool", "string", "print", "form", "list", "
 
 
 def misspelt(spot: Spot) -> Diagnostic | None:
-    """A name near a word of the language: the refused one, the one before, the line's first, or the section's."""
+    """Report a misspelt keyword.
+
+    Candidates are the rejected token, the one before, the line's first, and the section's first.
+    """
     tokens = spot.tokens
     last = tokens[spot.position]
     tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(spot.expected & (KEYWORDS | {"requires", "ensures"})))]
@@ -38,7 +41,7 @@ def misspelt(spot: Spot) -> Diagnostic | None:
 
 
 def _beginning(spot: Spot) -> tuple[str, ...]:
-    """The words with which the line may begin."""
+    """Return the keywords with which the line may begin."""
     level, section = spot.level(), spot.tokens[0][0]
     if level == 0:
         return _SECTIONS
@@ -60,8 +63,10 @@ def _near(word: str, choices: Iterable[str]) -> str:
 
 
 def _one_slip(word: str, meant: str) -> bool:
-    """Whether two neighbouring letters are exchanged, or one letter is wrong, missing or too many; short words are
-    near to too many others."""
+    """Return whether a word differs by two swapped letters, or by one wrong, missing or extra letter.
+
+    In short words fewer differences count, because they resemble too many other words.
+    """
     if len(word) == len(meant):
         wrong = [i for i in range(len(word)) if word[i] != meant[i]]
         if len(wrong) == 1:
