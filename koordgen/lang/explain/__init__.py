@@ -1,7 +1,7 @@
-"""Explanations: each diagnostic code at length, with tested examples.
+"""Explanations of all diagnostic codes, with tested examples.
 
-Owns: the pages beside this file, one for each letter of codes, and `topics.md`. The pages of codes that the analysis
-reports stand beside its rules.
+Owns: the pages beside this file, one for each initial letter of codes, and `topics.md`. Pages of codes that the
+    analysis reports stand beside its rules.
 Offers: `explanation`, `topic`, `show`.
 Must not import: syntax, or any room above it.
 """
@@ -19,8 +19,11 @@ _RULES = Path(__file__).parents[1] / "analyze" / "rules"
 
 
 class Explanation(Node):
-    """The text of one code. `markdown` is its section without the heading; `wrong` and `right` are its examples,
-    `wrong_note` and `right_note` the lines that lead to them."""
+    """Explanation of one code.
+
+    `markdown` is its section without the heading. `wrong` and `right` are its examples, `wrong_note` and `right_note`
+    the lines before them.
+    """
 
     code: str
     title: str
@@ -32,7 +35,7 @@ class Explanation(Node):
 
 
 def explanation(code: str) -> Explanation:
-    """The text of a code of the catalogue. Raises KeyError for any other."""
+    """Return the explanation of a code. Raises KeyError for a code that is not in the catalogue."""
     title = CATALOGUE[code]
     section = _sections(code[0]).get(code, "")
     parts = section.split(f"\n{_FENCE}")
@@ -43,12 +46,15 @@ def explanation(code: str) -> Explanation:
 
 
 def show(found: Explanation) -> str:
-    """For a terminal: the title, and the section with its listings indented instead of fenced."""
+    """Return an explanation for a terminal: title and section, with indented instead of fenced listings."""
     return f"{found.code}: {found.title}\n\n{_plain(found.markdown)}"
 
 
 def topic(word: str) -> str:
-    """Return the text of a verdict, of `skip`, or of the name of one reason to skip, for a terminal; else ''."""
+    """Return the text about a verdict, `skip` or one reason to skip, for a terminal.
+
+    Empty for other words.
+    """
     for heading, body in topics().items():
         if word.casefold() == heading.casefold() or f"\n- `{word.casefold()}`:" in body:
             return f"{heading}\n\n{_plain(body)}"
@@ -75,7 +81,7 @@ def _plain(markdown: str) -> str:
 
 
 def _listing(part: str) -> str:
-    """What follows the opening fence's language."""
+    """Return a listing without the line of its opening fence."""
     return part.partition("\n")[2] + "\n"
 
 

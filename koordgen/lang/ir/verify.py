@@ -1,4 +1,4 @@
-"""Holds a program to the IR's invariants after every pass: a breach is a mistake of the compiler."""
+"""Verifier of the IR's invariants, run after every pass. A violation is a bug of the compiler."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ from koordgen.lang.source import Span
 
 
 def verify(program: decl.Program) -> None:
-    """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope, an operator is none of
-    the IR's, something stands where it has no place, a transaction's variables are not those of its lock, or the events
-    of a `priority:` block do not stand together."""
+    """Raise InternalError if a program violates an invariant of the IR.
+
+    Invariants: types agree, names are resolved, temps are in scope, operators exist, each construct is allowed in its
+    section, a transaction's variables belong to its lock, and the events of a `priority:` block are adjacent.
+    """
     walk = _Walk(program)
     walk.declarations()
     walk.functions()
@@ -89,7 +91,10 @@ class _Walk(Expressions):
         self.typed(value, type_)
 
     def plain(self, type_: Type, span: Span) -> None:
-        """That values of a type may be stored: no port, region or poison, keys of a type with an order, capacities."""
+        """Verify that values of a type can be stored: no port, region or poison.
+
+        Ordered keys; positive capacities.
+        """
         match type_:
             case Scalar():
                 must(type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"a value of type {type_}", span)
@@ -125,7 +130,7 @@ class _Walk(Expressions):
     def functions(self) -> None:
         callees: set[str] = set()
         for function in self.program.functions:
-            self.callees = callees  # those before it
+            self.callees = callees  # functions before this one
             self.enter("function")
             self.parameters(function.parameters, function.span)
             self.plain(function.result, function.span)
@@ -155,7 +160,7 @@ class _Walk(Expressions):
             self.declare(parameter.name, type_, span)
 
     def blocks(self) -> None:
-        """The `priority:` blocks are numbered from 0 in text order, and the events of each stand together."""
+        """Verify that `priority:` blocks are numbered from 0 in text order and that their events are adjacent."""
         last, before = -1, None
         for event in self.program.events:
             block = event.priority
@@ -279,7 +284,7 @@ def _distinct(what: str, named: Iterable[tuple[str, Span]]) -> None:
 
 
 def _returns(block: stmt.Block) -> bool:
-    """Whether every way through a block ends in a `return`, or in a loop that nothing leaves."""
+    """Return whether every path through a block ends in a `return` or in an endless loop."""
     for statement in block:
         match statement:
             case stmt.Return():
@@ -294,7 +299,7 @@ def _returns(block: stmt.Block) -> bool:
 
 
 def _breaks(block: stmt.Block) -> bool:
-    """Whether a block may leave the loop around it."""
+    """Return whether a block may leave the enclosing loop by `break`."""
     return any(
         isinstance(s, stmt.Break) or (isinstance(s, stmt.If) and (_breaks(s.then) or _breaks(s.orelse))) for s in block
     )

@@ -1,4 +1,4 @@
-"""The invariants of expressions: the type of every node, by its parts, and where it may stand."""
+"""Verifier of expressions: the type of every node by its parts, and the sections that allow it."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from koordgen.lang.ir.verify_type import (
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
-# Where a node may stand, if not everywhere: `literal` (a param's default, a record's), `constant` (other first values),
-# `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
+# Sections that allow a node, if not all do: `literal` (defaults of params and records), `constant` (other initial
+# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
 _ACTING = frozenset(("init", "guard", "effect"))
 _PLACES: dict[type, frozenset[str]] = {
     expr.Pid: _ACTING | {"assume"},
@@ -65,7 +65,7 @@ _PLACES: dict[type, frozenset[str]] = {
 
 
 class Expressions:
-    """What a program declares, and the place at which its expressions are looked at."""
+    """Verifier of a program's expressions: its declarations, and the state of the current section."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -79,19 +79,19 @@ class Expressions:
         self.signatures = {f.name: f for f in program.functions}
         self.externs = {f.name: f for f in program.externs}
         self.specs = {f.name: f for f in program.specs}
-        self.callees = set(self.signatures)  # in a function: those before it
+        self.callees = set(self.signatures)  # functions that may be called; in a function: those before it
         self.enter("constant")
 
     def enter(self, place: str) -> None:
-        """Begin a section: no temps."""
+        """Begin a section, without temps."""
         self.place = place
         self.temps: dict[str, Type] = {}
         self.minted: set[str] = set()
-        self.shared: set[str] = set()  # the shared variables it reads or writes
+        self.shared: set[str] = set()  # shared variables that the section reads or writes
         self.module = ""
         self.result: Type | None = None
         self.loops = 0
-        self.at_head = False  # within a loop invariant
+        self.at_head = False  # inside a loop invariant
 
     def declare(self, name: str, type_: Type, span: Span) -> None:
         must(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
@@ -103,13 +103,13 @@ class Expressions:
         return must_not(f"{name} is not declared", span) if found is None else found
 
     def typed(self, node: expr.Expr, type_: Type) -> None:
-        """A node must be of a type."""
+        """Verify a node and that it has a type."""
         found = self.type_of(node)
         if found is not type_ and found != type_:
             must(False, f"a {type_} is wanted, not a {found}", node.span)
 
     def type_of(self, node: expr.Expr) -> Type:
-        """The type of a node, which its parts agree with."""
+        """Verify a node and return its type, which is derived from its parts."""
         kind = type(node)
         places = _PLACES.get(kind)
         if self.at_head and kind is expr.PortCall:
@@ -124,7 +124,7 @@ class Expressions:
     def unknown(self, node: Node) -> Type:
         return must_not(f"{type(node).__name__} is no expression", node.span)  # type: ignore[attr-defined]
 
-    # What is read
+    # Reads
 
     def const(self, node: expr.Const) -> Type:
         return literal_type(node.value, node.span)
@@ -179,7 +179,7 @@ class Expressions:
             must(False, f"{module}.{port} is another module's", span)
         return found.type
 
-    # What is computed
+    # Operations
 
     def binary(self, node: expr.Binary) -> Type:
         op = node.op
@@ -245,7 +245,7 @@ class Expressions:
         return BOOL
 
     def element(self, node: expr.Expr) -> Type:
-        """What a loop or a quantifier over it runs over."""
+        """Return the type of the elements of a loop's or quantifier's domain."""
         if isinstance(node, expr.Range):
             self.typed(node.start, INT)
             self.typed(node.stop, INT)
@@ -349,8 +349,8 @@ class Expressions:
         return builtin_type(name, [self.type_of(arg) for arg in args], span)
 
 
-# By the class of the node: a table, because finding the way is most of the work. A test holds that all expressions are
-# here.
+# Verifier of each class of node. A table, because dispatch takes most of the time. A test ensures that it has all
+# expressions.
 _READERS: dict[type, Callable[[Expressions, Any], Type]] = {
     expr.Const: Expressions.const,
     expr.Pid: Expressions.index,

@@ -1,4 +1,7 @@
-"""What types literals, operators, indices and builtins yield; InternalError where they do not apply."""
+"""Result types of literals, operators, indices and builtins.
+
+Raises InternalError if they do not apply.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +38,13 @@ _FIELDS: dict[str, dict[str, Type]] = {
 
 
 def must(holds: bool, message: str, span: Span) -> None:
-    """Raises InternalError where something does not hold."""
+    """Raise InternalError unless a condition holds."""
     if not holds:
         raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
 def must_not(message: str, span: Span) -> Type:
-    """Raises InternalError."""
+    """Raise InternalError."""
     raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
@@ -99,14 +102,14 @@ def _word(type_: Type) -> str:
 
 
 def fits(type_: Type, wanted: Type) -> bool:
-    """Whether an argument is what a parameter takes: one value a robot is also a list of them."""
+    """Return whether an argument's type fits a parameter: an allread variable as a whole fits a list, too."""
     if isinstance(type_, PerRobot) and isinstance(wanted, Sequence):
         return wanted.name == "List" and fits(type_.element, wanted.element)
     return type_ == wanted
 
 
 def builtin_type(name: str, types: list[Type], span: Span) -> Type:
-    """What a builtin, a method or an update yields for arguments of these types."""
+    """Return the result type of a builtin, a method or an update for arguments of these types."""
     signatures = FUNCTIONS.get(name) or UPDATE_SIGNATURES.get(name)
     if signatures is None:
         method = METHODS.get((_word(types[0]), name)) if types else None
@@ -119,7 +122,7 @@ def builtin_type(name: str, types: list[Type], span: Span) -> Type:
 
 
 def _result(signature: Signature, types: list[Type]) -> Type | None:
-    """What a builtin of this signature yields for such arguments; None when it does not take them."""
+    """Return a signature's result type for arguments of these types; None if they do not match."""
     bound: dict[Type, Type] = {S: types[0]} if types else {}
     if len(types) != len(signature.args):
         return None
@@ -129,7 +132,7 @@ def _result(signature: Signature, types: list[Type]) -> Type | None:
 
 
 def _unified(wanted: Type, type_: Type, bound: dict[Type, Type]) -> bool:
-    """Whether a type is of a form; what its variables stand for goes into `bound`."""
+    """Return whether a type matches a pattern. Adds the types of the pattern's variables to `bound`."""
     match wanted, type_:
         case Sequence("List", element), PerRobot(found):
             return _unified(element, found, bound)
