@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.expressions import analyze_expression
 from koordgen.lang.analyze.facts.path import Condition
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.hidden_event import Judged, is_hidden
+from koordgen.lang.analyze.rules.hidden_event import AnalysedEvent, is_hidden
 from koordgen.lang.analyze.rules.never_enabled import MOST_EARLIER, always_holds, can_run
 from koordgen.lang.analyze.rules.opposite_guard import help_by_negation
-from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.analyze.statements import analyze_block
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.draft import Atomic
@@ -18,18 +18,18 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON
 
 
-def judge_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
+def analyze_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
     """Analyse the events. Returns them without their locks, each with its first `atomic`, or None."""
     found: list[tuple[decl.Event, Atomic | None]] = []
-    earlier: list[Judged] = []
-    by_condition: dict[str, list[Judged]] = {}  # `earlier`, by the least condition of each guard
+    earlier: list[AnalysedEvent] = []
+    by_condition: dict[str, list[AnalysedEvent]] = {}  # `earlier`, by the least condition of each guard
     transactions = "atomic" in a.source.text  # a quick test: without the word no event is searched
     for event in written:
         atomic = _first_atomic(event) if transactions else None
-        judged = _event(event, atomic is not None, earlier, by_condition, a)
-        found.append((judged.event, atomic))
-        earlier.append(judged)
-        by_condition.setdefault(min(judged.conditions), []).append(judged)
+        analyzed = _event(event, atomic is not None, earlier, by_condition, a)
+        found.append((analyzed.event, atomic))
+        earlier.append(analyzed)
+        by_condition.setdefault(min(analyzed.conditions), []).append(analyzed)
     return found
 
 
@@ -40,10 +40,10 @@ def _first_atomic(event: decl.Event) -> Atomic | None:
 def _event(
     event: decl.Event,
     transaction: bool,
-    earlier: Sequence[Judged],
-    by_condition: Mapping[str, Sequence[Judged]],
+    earlier: Sequence[AnalysedEvent],
+    by_condition: Mapping[str, Sequence[AnalysedEvent]],
     a: Analysis,
-) -> Judged:
+) -> AnalysedEvent:
     a.enter("guard")
     a.transaction = transaction
     assert a.path is not None
@@ -51,7 +51,7 @@ def _event(
     for other in first[-MOST_EARLIER:]:
         if other.guard is not None:
             a.path = a.path.failing(other.guard)
-    guard = judge(event.guard, a)
+    guard = analyze_expression(event.guard, a)
     sound = not a.refuted
     known = Condition(guard, a.path) if guard.type is BOOL else None
     own = _conditions(event.guard, a)
@@ -66,14 +66,14 @@ def _event(
     a.sites, a.refuted = [], []
     if known is not None:
         a.guard, a.path = known, a.path.passing(known)
-    effect = judge_block(event.effect, a)
+    effect = analyze_block(event.effect, a)
     if sound:
         help_by_negation(event.guard.span, a)
-    judged = decl.Event(event.name, guard, effect, None, event.priority, event.span)
-    return Judged(judged, known, own, always)
+    analyzed = decl.Event(event.name, guard, effect, None, event.priority, event.span)
+    return AnalysedEvent(analyzed, known, own, always)
 
 
-def _first(event: decl.Event, transaction: bool, earlier: Sequence[Judged]) -> list[Judged]:
+def _first(event: decl.Event, transaction: bool, earlier: Sequence[AnalysedEvent]) -> list[AnalysedEvent]:
     """Return the earlier events of the `priority:` block whose guards must be false where this event runs.
 
     Guards are evaluated at the round's start. A transaction sees the shared variables as they are now, so for it the

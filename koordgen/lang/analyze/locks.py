@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from koordgen.lang.analyze.rules.plain_write import judge_plain_writes
-from koordgen.lang.findings import Findings
+from koordgen.lang.analyze.rules.plain_write import check_plain_writes
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.draft import Atomic
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import replace
+from koordgen.lang.reporter import Reporter
 
 Found = Sequence[tuple[decl.Event, Atomic | None]]
 Groups = tuple[tuple[str, ...], ...]
 
 
-def locked(found: Found, shared: tuple[decl.Shared, ...], findings: Findings) -> tuple[tuple[decl.Event, ...], Groups]:
+def with_locks(
+    found: Found, shared: tuple[decl.Shared, ...], reporter: Reporter
+) -> tuple[tuple[decl.Event, ...], Groups]:
     """Return the events with their locks, and the groups of shared variables that each lock protects.
 
     The groups are in the order of the declarations. A transaction without shared variables needs no lock and is treated
@@ -26,7 +28,7 @@ def locked(found: Found, shared: tuple[decl.Shared, ...], findings: Findings) ->
         return tuple([event for event, _ in found]), ()
     groups = _groups(used, [v.name for v in shared])
     number = {name: index for index, group in enumerate(groups) for name in group}
-    judge_plain_writes(found, used, findings)
+    check_plain_writes(found, used, reporter)
     events = [
         replace(event, lock=number[min(names)]) if names else event
         for (event, _), names in zip(found, used, strict=True)

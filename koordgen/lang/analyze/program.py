@@ -6,11 +6,11 @@ imported on demand, because their import takes long compared with a check.
 
 from __future__ import annotations
 
-from koordgen.lang.analyze.events import judge_events
-from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.events import analyze_events
+from koordgen.lang.analyze.expressions import analyze_expression
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.first_value import judge_first_value
-from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.analyze.rules.first_value import check_initial_value
+from koordgen.lang.analyze.statements import analyze_block
 from koordgen.lang.check.sections.program import resolve
 from koordgen.lang.diagnostics import Diagnostic, in_order
 from koordgen.lang.ir import decl
@@ -42,7 +42,7 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
     functions = tuple([_function(function, a) for function in program.functions])
     externs = tuple([_contract(function, a) for function in program.externs])
     a.enter("init")
-    init = judge_block(program.init, a)
+    init = analyze_block(program.init, a)
     events, locks = _events(program.events, shared, a)
     properties = tuple([replace(p, formula=_formula(p.formula, "property", a)) for p in program.properties])
     modules = tuple([_module(module, a) for module in program.modules])
@@ -51,9 +51,9 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
         shared, locals_, locks, init, events, properties,
     )  # fmt: skip
     if any(variable.type is BOOL for variable in locals_):
-        from koordgen.lang.analyze.rules.waiting import judge_waiting
+        from koordgen.lang.analyze.rules.waiting import check_waiting
 
-        judge_waiting(checked, lambda: is_whole(text), a)
+        check_waiting(checked, lambda: is_whole(text), a)
     return checked
 
 
@@ -61,12 +61,12 @@ def _events(
     written: tuple[decl.Event, ...], shared: tuple[decl.Shared, ...], a: Analysis
 ) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
     """Return the events, and the groups of shared variables that have a common lock."""
-    judged = judge_events(written, a)
-    if all(atomic is None for _, atomic in judged):
-        return tuple([event for event, _ in judged]), ()
-    from koordgen.lang.analyze.locks import locked
+    analyzed = analyze_events(written, a)
+    if all(atomic is None for _, atomic in analyzed):
+        return tuple([event for event, _ in analyzed]), ()
+    from koordgen.lang.analyze.locks import with_locks
 
-    return locked(judged, shared, a)
+    return with_locks(analyzed, shared, a)
 
 
 def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
@@ -74,7 +74,7 @@ def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
     before = len(a.found)
     value = _formula(value, "constant", a)
     if not a.has_errors(before):
-        judge_first_value(name, value, type_, a)
+        check_initial_value(name, value, type_, a)
     return value
 
 
@@ -85,18 +85,20 @@ def _record(record: decl.Record, a: Analysis) -> decl.Record:
 
 def _function(function: decl.Function, a: Analysis) -> decl.Function:
     a.enter("function")
-    block = judge_block(function.block, a)
+    block = analyze_block(function.block, a)
     if a.path is not None:
-        from koordgen.lang.analyze.rules.missing_return import judge_end
+        from koordgen.lang.analyze.rules.missing_return import check_end
 
-        judge_end(function, a)
+        check_end(function, a)
     return replace(function, block=block)
 
 
 def _contract(function: decl.ExternFunction, a: Analysis) -> decl.ExternFunction:
     a.enter("contract")
-    requires = tuple([judge(formula, a) for formula in function.requires])
-    return replace(function, requires=requires, ensures=tuple([judge(formula, a) for formula in function.ensures]))
+    requires = tuple([analyze_expression(formula, a) for formula in function.requires])
+    return replace(
+        function, requires=requires, ensures=tuple([analyze_expression(formula, a) for formula in function.ensures])
+    )
 
 
 def _module(module: decl.Module, a: Analysis) -> decl.Module:
@@ -108,4 +110,4 @@ def _module(module: decl.Module, a: Analysis) -> decl.Module:
 
 def _formula(formula: Expr, place: Section, a: Analysis) -> Expr:
     a.enter(place)
-    return judge(formula, a)
+    return analyze_expression(formula, a)

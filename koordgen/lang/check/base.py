@@ -48,10 +48,17 @@ def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
     checked = CHECKERS[type(node)](node, c, None)
     if checked.type is BOOL or checked.type is POISON:
         return checked
-    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c), (), checked)
+    return c.error(
+        "K013",
+        f"{what} must be a bool, not {with_article(checked.type)}",
+        node.span,
+        help_for_bool(checked, c),
+        (),
+        checked,
+    )
 
 
-def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
+def help_for_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
     """Return the help for a value where a bool is expected; with `op` `==`, for its negation."""
     type_, text = value.type, c.text(value.span)
     if type_ in NUMBERS:
@@ -68,7 +75,7 @@ def is_poisoned(parts: Iterable[ir.Expr]) -> bool:
     return any(part.type is POISON for part in parts)
 
 
-def same(first: Type, second: Type) -> bool:
+def same_type(first: Type, second: Type) -> bool:
     return first is second or first == second
 
 
@@ -77,7 +84,7 @@ def widened(value: ir.Expr, type_: Type) -> ir.Expr:
     return ir.Widen(value, FLOAT, value.span) if type_ is FLOAT and value.type is INT else value
 
 
-def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+def converted(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     """Return the value converted to a type; report a mismatch, which yields poison."""
     found = value.type
     if found is type_ or found is POISON or type_ is POISON:
@@ -86,7 +93,7 @@ def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
         return ir.Widen(value, FLOAT, value.span)
     if found == type_:
         return value
-    return misfit(value, type_, what, c)
+    return report_mismatch(value, type_, what, c)
 
 
 def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
@@ -96,12 +103,12 @@ def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     """
     found = value.type
     listed = isinstance(found, PerRobot) and isinstance(type_, Sequence) and type_.name == "List"
-    if listed and same(found.element, type_.element):  # type: ignore[union-attr]
+    if listed and same_type(found.element, type_.element):  # type: ignore[union-attr]
         return value
-    return fitting(value, type_, what, c)
+    return converted(value, type_, what, c)
 
 
-def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+def report_mismatch(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     """Report that a value is not of the expected type."""
     found, help = value.type, ""
     if isinstance(found, PerRobot) and not isinstance(type_, PerRobot):
@@ -112,30 +119,30 @@ def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
             "'/' gives a float; '//' of two ints gives an int" if divides else "a float never becomes an int by itself"
         )
         help += "" if divides else ": floor, ceil and round make one"
-    elif same(type_, STRING):
+    elif same_type(type_, STRING):
         help = "str(...) makes a string of a number or a bool"
     elif type_ is POINT and isinstance(found, TupleOf):
         help = "write Point(x, y, z)"
     elif type_ is BOOL and found in NUMBERS:
-        help = as_bool(value, c)
+        help = help_for_bool(value, c)
     elif type_ in NUMBERS and found is BOOL:
         help = f"write '1 if {c.text(value.span)} else 0'"
-    return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help, (), value)
+    return c.error("K012", f"{what} is {with_article(type_)}, not {with_article(found)}", value.span, help, (), value)
 
 
 def per_robot(value: ir.Expr, c: Context) -> ir.Expr:
     """Report that an allread variable stands without an index where a single value is expected."""
     text = c.text(value.span)
-    return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _own(text, c))
+    return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _index_help(text, c))
 
 
-def _own(text: str, c: Context) -> str:
+def _index_help(text: str, c: Context) -> str:
     if c.place in ("function", "contract"):
         return f"{text}[i] is robot i's"
     return f"{text}[i] is robot i's" if c.place == "property" else f"{text}[pid] is this robot's"
 
 
-def a(type_: Type) -> str:
+def with_article(type_: Type) -> str:
     """Return a type's name with its article: "an int"."""
     text = str(type_)
     return f"an {text}" if text[0] in "aeiouAEIO" else f"a {text}"

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, cast
 
 from koordgen.lang.diagnostics import Diagnostic, Edit, Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.lang.ir.decl import (
@@ -26,6 +25,7 @@ from koordgen.lang.ir.expr import Const, Expr, Make
 from koordgen.lang.ir.stmt import Let
 from koordgen.lang.ir.types import GENERIC, NAMED, POISON, Type
 from koordgen.lang.node import Node
+from koordgen.lang.reporter import Reporter
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import stmt as tree
@@ -43,19 +43,19 @@ class Temp(Node):
     span: Span
 
 
-class Entry:
+class LoopEntry:
     """Start of a loop, to which `old(...)` in the loop's invariants refers.
 
-    `begun` has the temps that exist before the loop, by their names in the IR. `values` has, for each variable in an
-    `old(...)`, the declaration that saves its value before the loop.
+    `temps_before` has the temps that exist before the loop, by their names in the IR. `values` has, for each variable
+    in an `old(...)`, the declaration that saves its value before the loop.
     """
 
-    def __init__(self, begun: frozenset[str]) -> None:
-        self.begun = begun
+    def __init__(self, temps_before: frozenset[str]) -> None:
+        self.temps_before = temps_before
         self.values: dict[Expr, Let] = {}
 
 
-class Context(Findings):
+class Context(Reporter):
     """Mutable state of the check of a program. `enter` resets the part that belongs to one section."""
 
     def __init__(self, source: Source, program: ast.Program | None = None) -> None:
@@ -76,7 +76,7 @@ class Context(Findings):
         self.result: Type | None = None  # the function's result type; None: not known yet (2020 dialect)
         self.module = ""  # module whose assumption is being checked
         self.loops = 0  # number of enclosing loops
-        self.entry: Entry | None = None  # start of the loop whose invariant is being checked
+        self.entry: LoopEntry | None = None  # start of the loop whose invariant is being checked
         self.atomic = 0  # number of enclosing `atomic` blocks
         self.written: set[str] = set()  # allwrite variables that `init` has set
         self.hoisted: list[Let] = []  # declarations to evaluate before the statement that is being checked
@@ -101,7 +101,7 @@ class Context(Findings):
         self.report("error", code, message, span, help, labels)
         return self.poison(span, *parts)
 
-    def modern(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
+    def report_old_spelling(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
         """Report a spelling of the 2020 dialect. `edits` modernise it; by default `new` replaces the span."""
         edits = (Edit(span, new),) if edits is None else edits
         message = f"{old} is the 2020 dialect's spelling of {new}"
@@ -126,7 +126,7 @@ class Context(Findings):
         self.minted.add(unique)
         return unique
 
-    def nearest(self, name: str, known: Iterable[str], meant: dict[str, str] | None = None) -> str:
+    def suggestion(self, name: str, known: Iterable[str], meant: dict[str, str] | None = None) -> str:
         """Return a help that suggests a similar name; empty if no name is similar."""
         if meant and name in meant:
             return f"did you mean '{meant[name]}'?"
@@ -138,7 +138,7 @@ class Context(Findings):
             return f"did you mean '{close}'?"
         return ""
 
-    def visible(self) -> list[str]:
+    def visible_names(self) -> list[str]:
         """Return all names that the current section can see."""
         return [*(n for scope in self.scopes for n in scope), *self.entities, *PREDEFINED]
 

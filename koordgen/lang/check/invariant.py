@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from koordgen.lang.check.base import check_expr, condition
-from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out
+from koordgen.lang.check.context import STATEMENTS, Context, LoopEntry, Out
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
@@ -41,8 +41,8 @@ def check_invariants(
     if not written:
         return ()
     around = c.entry
-    begun = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
-    c.entry = Entry(begun)
+    temps_before = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
+    c.entry = LoopEntry(temps_before)
     found = [stmt.LoopInvariant(condition(node.condition, c, "a loop invariant"), node.span) for node in written]
     out.extend(c.entry.values.values())
     c.entry = around
@@ -74,7 +74,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
     if read.type is POISON:
         return c.poison(node.span)
     text = c.text(read.span)
-    if isinstance(read, ir.TempRead) and read.name not in c.entry.begun:
+    if isinstance(read, ir.TempRead) and read.name not in c.entry.temps_before:
         help = "old takes a variable that is declared before the loop"
         return c.error("K058", f"{text} has no value where the loop begins", node.span, help)
     match read:

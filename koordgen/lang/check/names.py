@@ -18,7 +18,7 @@ Owner = (
 )  # fmt: skip
 
 
-def claim(program: ast.Program, c: Context) -> None:
+def claim_names(program: ast.Program, c: Context) -> None:
     """Give each name to its first declaration in the text, and report every further one.
 
     If two declarations of a name differ, or the name is predefined, its uses are ambiguous and are not reported.
@@ -29,10 +29,10 @@ def claim(program: ast.Program, c: Context) -> None:
             case ast.Variables(kind, variables):
                 for variable in variables:
                     if not isinstance(variable.type, BrokenType):  # its name is a guess
-                        _take(variable.name, variable, kind, kinds, c)
+                        _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
-                    _take(name, section, "", kinds, c)
+                    _claim(name, section, "", kinds, c)
             case ast.Event(name):
                 c.owners[f"event {name}"] = section  # it may share its name with a variable
             case ast.Priority(events):
@@ -41,11 +41,11 @@ def claim(program: ast.Program, c: Context) -> None:
             case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:
-                _take(section.name, section, "", kinds, c)
+                _claim(section.name, section, "", kinds, c)
 
 
-def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
-    if reserved(name):
+def _claim(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
+    if is_reserved(name):
         c.error("K011", f"{name} is predefined", node.span, "choose another name")
         c.entities[name] = None
         return
@@ -60,7 +60,7 @@ def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) 
         c.entities[name] = None
 
 
-def reserved(name: str) -> bool:
+def is_reserved(name: str) -> bool:
     """Return whether a name is reserved: no declaration may have it.
 
     Names of builtin functions are free, as in Python, because 2020 programs have variables called `sum`. Names of types
@@ -69,7 +69,7 @@ def reserved(name: str) -> bool:
     return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
 
 
-def owns(name: str, node: Owner, c: Context) -> bool:
+def is_owner(name: str, node: Owner, c: Context) -> bool:
     """Return whether a name belongs to this declaration, and not to an earlier one."""
     return c.owners.get(name) is node
 

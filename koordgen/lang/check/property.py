@@ -14,7 +14,7 @@ from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
 from koordgen.lang.syntax.walk import parts
 
-_HANDED = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner
+_PLANNER_ARGUMENTS = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner
 
 
 def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
@@ -46,14 +46,14 @@ def goal(name: str, span: Span, c: Context) -> Temp | None:
     at = span.line, span.column
     assumed = [item for item in items if isinstance(item, ast.Assume)]
     formulas = [item.formula for item in assumed if (item.span.line, item.span.column) < at]
-    place = next(_handed(formulas[-1], name, c.module, ports), None) if formulas else None
+    place = next(_argument_indices(formulas[-1], name, c.module, ports), None) if formulas else None
     if place is None:
         return None
-    temp = c.scopes[0][name] = Temp(c.mint(name), _HANDED[place], span)
+    temp = c.scopes[0][name] = Temp(c.mint(name), _PLANNER_ARGUMENTS[place], span)
     return temp
 
 
-def any_value(name: str, span: Span, c: Context) -> Temp | None:
+def bind_any_value(name: str, span: Span, c: Context) -> Temp | None:
     """Bind an undefined name that an axiom passes to a function of the program; None if it does not.
 
     From then on the name stands for every value of the parameter's type.
@@ -65,14 +65,14 @@ def any_value(name: str, span: Span, c: Context) -> Temp | None:
     before = [s for s in sections if (s.span.line, s.span.column) < at]
     if not before or before[-1].kind != "axiom":
         return None
-    type_ = next(_taken(before[-1].formula, name, c), None)
+    type_ = next(_parameter_types(before[-1].formula, name, c), None)
     if type_ is None:
         return None
     temp = c.scopes[0][name] = Temp(c.mint(name), type_, span)
     return temp
 
 
-def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
+def _parameter_types(node: object, name: str, c: Context) -> Iterator[Type]:
     """Yield the type of each function parameter for which a name is passed that no quantifier binds."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
@@ -83,10 +83,10 @@ def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
                 if isinstance(arg, tree.Name) and arg.name == name:
                     yield parameter.type
     for part in parts(node):
-        yield from _taken(part, name, c)
+        yield from _parameter_types(part, name, c)
 
 
-def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
+def _argument_indices(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
     """Yield the index of each argument of the module's callable ports that is this name.
 
     Occurrences that a quantifier binds are left out.
@@ -95,16 +95,18 @@ def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[i
         node = node.domain
     if isinstance(node, tree.Call):
         match node.function:
-            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _of(module, node.function):
-                for place, arg in enumerate(node.args[: len(_HANDED)]):
+            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _is_port_of(
+                module, node.function
+            ):
+                for place, arg in enumerate(node.args[: len(_PLANNER_ARGUMENTS)]):
                     if isinstance(arg, tree.Name) and arg.name == name:
                         yield place
             case _:
                 pass
     for part in parts(node):
-        yield from _handed(part, name, module, ports)
+        yield from _argument_indices(part, name, module, ports)
 
 
-def _of(module: str, function: tree.Expr) -> bool:
+def _is_port_of(module: str, function: tree.Expr) -> bool:
     """Return whether a call names a port of the module: as `port` or as `module.port`."""
     return not isinstance(function, tree.Attribute) or function.value == tree.Name(module, function.span)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import assert_never
 
-from koordgen.lang.check.base import a
+from koordgen.lang.check.base import with_article
 from koordgen.lang.check.context import Context
 from koordgen.lang.ir.types import (
     GENERIC,
@@ -65,22 +65,22 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     if name in c.types:
         return c.types[name] or POISON
     if name in _DIALECT:
-        c.modern(name, _DIALECT[name], span)
+        c.report_old_spelling(name, _DIALECT[name], span)
         return NAMED[_DIALECT[name]]
     if name in c.broken:
         return POISON
     if name in ("Rect", "Ball"):
         c.error("K017", f"a {name} is a region, not a value", span, "it stands on the right of 'in'")
     elif name in GENERIC:
-        c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_holes(name)}>")
+        c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_example_types(name)}>")
     else:
-        help = c.nearest(name, [*NAMED, *GENERIC, *c.types], _MEANT)
+        help = c.suggestion(name, [*NAMED, *GENERIC, *c.types], _MEANT)
         define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
         c.error("K016", f"{name} is not a type", span, help or define)
     return POISON
 
 
-def _holes(name: str) -> str:
+def _example_types(name: str) -> str:
     return "int, Point" if name == "Map" else "int" if name == "Set" else "Point"
 
 
@@ -107,7 +107,12 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
     wanted = GENERIC[name]
     if len(parts) != wanted and (name != "List" or not parts):
         plural = "" if wanted == 1 else "s"
-        c.error("K014", f"{name} takes {wanted} type{plural}, not {len(parts)}", span, f"write {name}<{_holes(name)}>")
+        c.error(
+            "K014",
+            f"{name} takes {wanted} type{plural}, not {len(parts)}",
+            span,
+            f"write {name}<{_example_types(name)}>",
+        )
         return POISON
     if POISON in parts:
         return POISON
@@ -127,7 +132,7 @@ def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, de
     if type_ == POISON:
         return POISON
     type_ = Sequence("List", type_, SHARED_ELEMENTS)
-    c.modern(c.text(node.span), str(type_), node.span)
+    c.report_old_spelling(c.text(node.span), str(type_), node.span)
     return type_
 
 
@@ -143,11 +148,11 @@ def per_robot(size: ast.Expr, c: Context) -> bool:
     """Return whether the size of an array is N_SYS. Reports the 2020 dialect's names of it."""
     name = size.name if isinstance(size, ast.Name) else ""
     if name in ("numAgents", "numBots"):
-        c.modern(name, "N_SYS", size.span)
+        c.report_old_spelling(name, "N_SYS", size.span)
     return name in ("N_SYS", "numAgents", "numBots")
 
 
-def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
+def with_capacities(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
     """Return the type with its declared capacities, which stand in pre-order.
 
     Without declared capacities it has the default ones, of local or of shared variables. Fields of records have their
@@ -155,11 +160,11 @@ def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Conte
     """
     if not capacities:
         return _sized(type_, None) if local else type_
-    wanted = _bearing(type_)
+    wanted = _capacity_count(type_)
     if type_ != POISON and len(capacities) != wanted:
         span = capacities[min(wanted, len(capacities) - 1)].span
         if not wanted:
-            c.error("K053", f"{a(type_)} always takes the same room: 'max' has no place here", span)
+            c.error("K053", f"{with_article(type_)} always takes the same room: 'max' has no place here", span)
         else:
             many = "one capacity" if wanted == 1 else f"{wanted} capacities, outermost first"
             c.error("K053", f"{type_} takes {many}, not {len(capacities)}", span)
@@ -181,17 +186,17 @@ def _capacity(node: ast.Expr, c: Context) -> int | None:
             return None
 
 
-def _bearing(type_: Type) -> int:
+def _capacity_count(type_: Type) -> int:
     """Return the number of capacities that a type takes."""
     match type_:
         case Sized():
             return 1
         case Sequence(_, element):
-            return 1 + _bearing(element)
+            return 1 + _capacity_count(element)
         case MapOf(key, value):
-            return 1 + _bearing(key) + _bearing(value)
+            return 1 + _capacity_count(key) + _capacity_count(value)
         case TupleOf(items):
-            return sum(map(_bearing, items))
+            return sum(map(_capacity_count, items))
         case _:
             return 0
 

@@ -18,7 +18,7 @@ _FENCE = "```"
 _RULES = Path(__file__).parents[1] / "analyze" / "rules"
 
 
-class Explanation(Node):
+class CodeExplanation(Node):
     """Explanation of one code.
 
     `markdown` is its section without the heading. `wrong` and `right` are its examples, `wrong_note` and `right_note`
@@ -34,7 +34,7 @@ class Explanation(Node):
     right: str
 
 
-def explanation(code: str) -> Explanation:
+def explanation(code: str) -> CodeExplanation:
     """Return the explanation of a code. Raises KeyError for a code that is not in the catalogue."""
     title = CATALOGUE[code]
     section = _sections(code[0]).get(code, "")
@@ -42,10 +42,12 @@ def explanation(code: str) -> Explanation:
     if len(parts) != 5:
         raise InternalError(f"the explanation of {code} is not of the form it must have")
     before, wrong, between, right, _ = parts
-    return Explanation(code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right))
+    return CodeExplanation(
+        code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right)
+    )
 
 
-def show(found: Explanation) -> str:
+def show(found: CodeExplanation) -> str:
     """Return an explanation for a terminal: title and section, with indented instead of fenced listings."""
     return f"{found.code}: {found.title}\n\n{_plain(found.markdown)}"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.lang.syntax.layout import GENERICS, GOES_ON, KEYWORDS, TOKEN, kind_of
+from koordgen.lang.syntax.layout import CONTINUING, GENERICS, KEYWORDS, TOKEN, kind_of
 
 # Spaces between neighbouring tokens of a statement
 
@@ -75,7 +75,7 @@ class Spacer:
 # Text to rows: lines with their tokens and comments, and whether they continue the line before
 
 
-class Row:
+class SourceRow:
     """One line of the original text. Columns count from 0."""
 
     __slots__ = ("blank_before", "column", "comment", "continued", "indent", "inside", "tokens")
@@ -90,10 +90,10 @@ class Row:
         self.blank_before = False
 
 
-def rows(text: str) -> list[Row]:
+def rows(text: str) -> list[SourceRow]:
     """Return the rows of a text without layout errors, without blank rows and superfluous backslashes."""
-    found: list[Row] = []
-    row = Row()
+    found: list[SourceRow] = []
+    row = SourceRow()
     depth, indent, line_start = 0, 0, 0
     fresh = True  # no token of this statement has been seen
     for match in TOKEN.finditer(text):
@@ -112,7 +112,7 @@ def rows(text: str) -> list[Row]:
             if not goes_on:
                 fresh, indent = True, 0
             blank = not row.tokens and not row.comment and (not row.continued or row.blank_before)
-            row = Row()
+            row = SourceRow()
             row.blank_before = blank
             row.inside = goes_on and not fresh
         else:
@@ -125,7 +125,7 @@ def rows(text: str) -> list[Row]:
     return found
 
 
-def _end(row: Row, found: list[Row]) -> None:
+def _end(row: SourceRow, found: list[SourceRow]) -> None:
     if row.tokens or (row.comment and not (row.inside and found[-1].continued)):
         found.append(row)
     elif row.comment:  # after a superfluous backslash
@@ -135,10 +135,10 @@ def _end(row: Row, found: list[Row]) -> None:
         found[-1].continued = False
 
 
-def _join(found: list[Row]) -> None:
+def _join(found: list[SourceRow]) -> None:
     """Mark rows that begin with `and` or `or`, and comments before them, as parts of the statement before."""
     for i, row in enumerate(found):
-        if row.tokens and row.tokens[0] in GOES_ON:
+        if row.tokens and row.tokens[0] in CONTINUING:
             row.inside = True
             for before in reversed(found[:i]):
                 if before.tokens:
@@ -159,7 +159,7 @@ class Statement:
 
     __slots__ = ("level", "rows")
 
-    def __init__(self, row: Row, level: int) -> None:
+    def __init__(self, row: SourceRow, level: int) -> None:
         self.rows = [row]
         self.level = level
 
@@ -174,7 +174,7 @@ class Statement:
         return first if first in KEYWORDS else "event"
 
 
-def statements(rows: list[Row]) -> list[Statement]:
+def statements(rows: list[SourceRow]) -> list[Statement]:
     """Return all rows, grouped into statements with their levels."""
     result: list[Statement] = []
     indents = [0]
@@ -195,7 +195,7 @@ def statements(rows: list[Row]) -> list[Statement]:
     return result
 
 
-def _following(rows: list[Row]) -> list[int]:
+def _following(rows: list[SourceRow]) -> list[int]:
     """Return for each row the indentation of the next statement; 0 at the end."""
     result = [0] * len(rows)
     for i in range(len(rows) - 2, -1, -1):
@@ -204,14 +204,14 @@ def _following(rows: list[Row]) -> list[int]:
     return result
 
 
-def _goes_on(row: Row, above: Statement, following: int) -> bool:
+def _goes_on(row: SourceRow, above: Statement, following: int) -> bool:
     """Return whether a comment line continues the comment beside the code above it."""
     last = above.rows[-1]
     beside = not above.is_comment and last.comment and last.column == row.column
     return bool(beside and not row.tokens and not row.blank_before and row.column != following)
 
 
-def _comment_level(row: Row, following: int, indents: list[int]) -> int:
+def _comment_level(row: SourceRow, following: int, indents: list[int]) -> int:
     """Return the level of a comment: that of the next statement, or of a block that ends before it."""
     least = sum(1 for indent in indents if indent < following)
     return max([least, *(k for k, indent in enumerate(indents) if following <= indent <= row.column)])
@@ -230,7 +230,7 @@ class _Line:
 
     __slots__ = ("blank", "code", "column", "comment")
 
-    def __init__(self, code: str, row: Row, beside: bool) -> None:
+    def __init__(self, code: str, row: SourceRow, beside: bool) -> None:
         self.code = code
         self.comment = row.comment
         self.column = row.column if beside else -1

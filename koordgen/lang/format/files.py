@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STDIN = "-"
 
 
-class Result(Node):
+class FormatResult(Node):
     """Result of formatting one file.
 
     `before` is its text with byte order mark and line ends, `after` the formatted text; both are empty if there are
@@ -40,7 +40,7 @@ class Result(Node):
         return self.before != self.after
 
 
-def format_file(path: str, checker: Checker | None, write: bool) -> Result:
+def format_file(path: str, checker: Checker | None, write: bool) -> FormatResult:
     """Format one file, or standard input for `-`.
 
     With a checker the program is also upgraded. `write`: replace the file if the text changes.
@@ -51,15 +51,15 @@ def format_file(path: str, checker: Checker | None, write: bool) -> Result:
         source = Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
         problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
-        return Result(Source(path, ""), (problem,))
+        return FormatResult(Source(path, ""), (problem,))
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
-        return Result(Source(path, ""), (problem,))
+        return FormatResult(Source(path, ""), (problem,))
     tree, found = parse(source)
     mistakes = tuple(d for d in found if d.severity == "error")
     if mistakes:
-        return Result(source, mistakes)
+        return FormatResult(source, mistakes)
     modern = source
     if checker is not None:
         from koordgen.lang.format.upgrade import upgraded
@@ -67,7 +67,7 @@ def format_file(path: str, checker: Checker | None, write: bool) -> Result:
         modern = upgraded(source, checker)
         tree, _ = parse(modern)
     after = formatted(modern, tree)
-    result = Result(source, (), raw.decode(), after)
+    result = FormatResult(source, (), raw.decode(), after)
     if result.changed and write and path != STDIN:
         try:
             _replace(path, after.encode())
@@ -76,7 +76,7 @@ def format_file(path: str, checker: Checker | None, write: bool) -> Result:
     return result
 
 
-def output(results: Iterable[Result], format: str, check: bool, diff: bool) -> bytes:
+def output(results: Iterable[FormatResult], format: str, check: bool, diff: bool) -> bytes:
     """Return the bytes for standard output.
 
     These are the formatted text of standard input, the files that are or would be changed, or a diff. As JSON:
@@ -88,11 +88,11 @@ def output(results: Iterable[Result], format: str, check: bool, diff: bool) -> b
     elif diff:
         text = "".join(_difference(r) for r in results)
     else:
-        text = "".join(_told(r, dry) for r in results)
+        text = "".join(_changed_line(r, dry) for r in results)
     return text.encode(errors="surrogateescape")  # file names need not be UTF-8
 
 
-def _told(result: Result, dry: bool) -> str:
+def _changed_line(result: FormatResult, dry: bool) -> str:
     if result.source.path == STDIN and not dry:
         return "" if result.mistakes else result.after
     if not result.changed or result.refused:
@@ -100,7 +100,7 @@ def _told(result: Result, dry: bool) -> str:
     return f"{result.source.path}: {'would be formatted' if dry else 'formatted'}\n"
 
 
-def _json(results: Iterable[Result], texts: bool) -> str:
+def _json(results: Iterable[FormatResult], texts: bool) -> str:
     import json
 
     files: list[dict[str, object]] = []
@@ -113,7 +113,7 @@ def _json(results: Iterable[Result], texts: bool) -> str:
     return json.dumps({"files": files, "diagnostics": diagnostics}, indent=2) + "\n"
 
 
-def _difference(result: Result) -> str:
+def _difference(result: FormatResult) -> str:
     from difflib import unified_diff
 
     path = result.source.path

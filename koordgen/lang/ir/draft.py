@@ -40,17 +40,17 @@ class Atomic(Node):
     span: Span
 
 
-class Unread(Node):
+class UnparsedStmt(Node):
     """A statement that could not be parsed: its effect is unknown."""
 
     span: Span
 
 
-class Wrong(Node):
+class WrongStmt(Node):
     """A wrong statement, whose error is already reported. `parts` has its correct expressions."""
 
     parts: tuple[Expr, ...]
     span: Span
 
 
-Draft = Stmt | Atomic | Unread | Wrong
+Draft = Stmt | Atomic | UnparsedStmt | WrongStmt

@@ -56,7 +56,7 @@ def statements(block: Sequence[draft.Draft]) -> Iterator[stmt.Stmt]:
     pending = list(block[::-1])
     while pending:
         statement = pending.pop()
-        if isinstance(statement, (draft.Atomic, draft.Unread, draft.Wrong)):
+        if isinstance(statement, (draft.Atomic, draft.UnparsedStmt, draft.WrongStmt)):
             continue
         yield statement
         match statement:

@@ -76,7 +76,7 @@ def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spen
     return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
 
 
-def made(value: T, view: View, span: Span) -> T:
+def charged_for_making(value: T, view: View, span: Span) -> T:
     """Return a new list, set, map, queue or string, and spend the turns that it costs. Raises Discarded."""
     size = len(value)
     if size > MAX_ELEMENTS:
@@ -86,7 +86,7 @@ def made(value: T, view: View, span: Span) -> T:
     return value
 
 
-def looked(node: ir.Expr, value: Value, view: View) -> Value:
+def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
     """Return a value all of whose elements are read, and spend the turns that this costs.
 
     Raises Discarded.
@@ -105,7 +105,7 @@ def operand(node: ir.Expr, view: View) -> Value:
 
     Raises Discarded, also if the operand contains NaN.
     """
-    value = looked(node, evaluate(node, view), view)
+    value = charged_for_reading(node, evaluate(node, view), view)
     try:
         builtins.comparable(value)
     except ArithmeticError as error:
@@ -129,7 +129,7 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
     values = items(evaluate(node, view))
     if isinstance(node.type, MapOf):
-        values = made(tuple([pair[0] for pair in values]), view, node.span)
+        values = charged_for_making(tuple([pair[0] for pair in values]), view, node.span)
     return iter(values)
 
 
@@ -176,7 +176,7 @@ def _binary(node: ir.Binary, view: View) -> Value:
     first, second = evaluate(node.left, view), evaluate(node.right, view)
     try:
         value = arithmetic(node.op, first, second)
-        return made(value, view, node.span) if isinstance(value, (str, tuple)) else value
+        return charged_for_making(value, view, node.span) if isinstance(value, (str, tuple)) else value
     except (ArithmeticError, ValueError) as error:
         checked = node.op != "**" and isinstance(error, ZeroDivisionError)
         reason = "division by zero" if checked and is_exact(first, second) else str(error)
@@ -236,7 +236,7 @@ def _slice(node: ir.Slice, view: View) -> Value:
     xs = evaluate(node.operand, view)
     low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
     part = _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
-    return made(part, view, node.span)  # type: ignore[type-var]
+    return charged_for_making(part, view, node.span)  # type: ignore[type-var]
 
 
 def _with(node: ir.With, view: View) -> Value:
@@ -256,15 +256,15 @@ def _builtin(node: ir.Builtin, view: View) -> Value:
     if node.name == "merge":
         view.spend(elements_in(value, MOST_COUNTED), node.span)
     if node.name in builtins.MAPPING:
-        looked(node, value, view)
-    return made(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
+        charged_for_reading(node, value, view)
+    return charged_for_making(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
 
 
 def _argument(name: str, arg: ir.Expr, view: View) -> Value:
     if name in builtins.COMPARING:
         return operand(arg, view)
     value = evaluate(arg, view)
-    return looked(arg, value, view) if name in builtins.SEARCHING else value
+    return charged_for_reading(arg, value, view) if name in builtins.SEARCHING else value
 
 
 def _pairs(name: str, values: Sequence[Value]) -> int:

@@ -11,7 +11,17 @@ from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import Type
 from koordgen.lang.semantics.deadline import present
-from koordgen.lang.semantics.eval import Call, Discarded, View, counting, elements, evaluate, holds, made, view_of
+from koordgen.lang.semantics.eval import (
+    Call,
+    Discarded,
+    View,
+    charged_for_making,
+    counting,
+    elements,
+    evaluate,
+    holds,
+    view_of,
+)
 from koordgen.lang.semantics.state import World
 from koordgen.lang.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.lang.source import Span
@@ -161,7 +171,9 @@ class Run:
             case stmt.For() | stmt.While():
                 return self.loop(statement)
             case stmt.Emit(module, port, parts, span):
-                line = made("".join([as_(str, evaluate(part, self.view)) for part in parts]), self.view, span)
+                line = charged_for_making(
+                    "".join([as_(str, evaluate(part, self.view)) for part in parts]), self.view, span
+                )
                 self.streams.append((f"{module}.{port}", line))
                 self.written["stream", f"{module}.{port}"] = span
             case stmt.Return(value):

@@ -19,7 +19,7 @@ from koordgen.lang.syntax import decl, expr, stmt, types
 Children = list[Any]  # tokens (tuples of four), nodes, and blocks (tuples of statements)
 
 
-class Refused(Exception):
+class BuilderError(Exception):
     """A builder rejected the children of its rule."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
@@ -27,9 +27,9 @@ class Refused(Exception):
         self.diagnostic = diagnostic
 
 
-def refused(code: str, message: str, span: Span, help: str = "") -> Refused:
+def builder_error(code: str, message: str, span: Span, help: str = "") -> BuilderError:
     """Make an exception to raise, with an error at `span`."""
-    return Refused(Diagnostic(code, "error", message, span, help=help))
+    return BuilderError(Diagnostic(code, "error", message, span, help=help))
 
 
 def token_span(token: tuple[str, str, int, int]) -> Span:
@@ -38,7 +38,7 @@ def token_span(token: tuple[str, str, int, int]) -> Span:
     return Span(line, column, line, column + len(text))
 
 
-def reach(first: Any, last: Any) -> Span:
+def span_across(first: Any, last: Any) -> Span:
     """Return the span from the beginning of one token or node to the end of another."""
     if first.__class__ is tuple:
         line, column = first[2], first[3]
@@ -51,7 +51,7 @@ def reach(first: Any, last: Any) -> Span:
     return Span(line, column, end.end_line, end.end_column)
 
 
-def across(first: Any, last: Any) -> Span:
+def span_of_nodes(first: Any, last: Any) -> Span:
     """Return the span from the beginning of one node to the end of another."""
     start, end = first.span, last.span
     return Span(start.line, start.column, end.end_line, end.end_column)
@@ -63,7 +63,7 @@ def nodes(children: Children) -> tuple[Any, ...]:
 
 
 def using_(c: Children) -> decl.Using:
-    return decl.Using(c[1][1], nodes(c), reach(c[0], c[1]))
+    return decl.Using(c[1][1], nodes(c), span_across(c[0], c[1]))
 
 
 def ports(c: Children) -> decl.Ports:
@@ -203,23 +203,23 @@ def _named(name: str, span: Span) -> types.NamedType:
     if name in _FOREIGN:
         from koordgen.lang.syntax.habits import FOREIGN
 
-        raise refused("K001", f"Koord has no '{name}'", span, FOREIGN[name])
+        raise builder_error("K001", f"Koord has no '{name}'", span, FOREIGN[name])
     return types.NamedType(name, span)
 
 
 def generic(c: Children) -> types.GenericType:
-    return types.GenericType(c[0][1], nodes(c), reach(c[0], c[-1]))
+    return types.GenericType(c[0][1], nodes(c), span_across(c[0], c[-1]))
 
 
 def tuple_type(c: Children) -> types.TupleType:
     items = tuple(map(as_type, nodes(c)))
     if len(items) < 2:
-        raise refused("K001", "a tuple's type has two items at least", reach(c[0], c[-1]))
-    return types.TupleType(items, reach(c[0], c[-1]))
+        raise builder_error("K001", "a tuple's type has two items at least", span_across(c[0], c[-1]))
+    return types.TupleType(items, span_across(c[0], c[-1]))
 
 
 def list_type(c: Children) -> types.GenericType:
-    return types.GenericType("[]", (as_type(c[0]),), reach(c[0], c[-1]))
+    return types.GenericType("[]", (as_type(c[0]),), span_across(c[0], c[-1]))
 
 
 def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
@@ -235,7 +235,7 @@ def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
             return types.BrokenType(node.span)
         case _:
             help = "a declaration is a type and a name: int count = 0"
-            raise refused("K001", "this is no type", node.span, help)
+            raise builder_error("K001", "this is no type", node.span, help)
 
 
 _ESCAPES = {'\\"': '"', "\\'": "'", "\\\\": "\\", "\\n": "\n", "\\t": "\t"}
@@ -243,16 +243,16 @@ _ESCAPE = re.compile(r"\\.")
 
 
 def conditional(c: Children) -> expr.Conditional:
-    return expr.Conditional(c[2], c[0], c[4], reach(c[0], c[4]))
+    return expr.Conditional(c[2], c[0], c[4], span_across(c[0], c[4]))
 
 
 def logic(c: Children) -> expr.Logic:
-    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], across(c[0], c[2]))
+    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], span_of_nodes(c[0], c[2]))
 
 
 def quantified(c: Children) -> expr.Quantified:
     domain, body = c[-3], c[-1]
-    return expr.Quantified(c[0][1], names(c[1:-4]), domain, body, reach(c[0], body))
+    return expr.Quantified(c[0][1], names(c[1:-4]), domain, body, span_across(c[0], body))
 
 
 def names(tokens: Children) -> tuple[expr.Name, ...]:
@@ -261,7 +261,7 @@ def names(tokens: Children) -> tuple[expr.Name, ...]:
 
 
 def unary(c: Children) -> expr.Unary:
-    return expr.Unary(c[0][1], c[1], reach(c[0], c[1]))
+    return expr.Unary(c[0][1], c[1], span_across(c[0], c[1]))
 
 
 def compare(c: Children) -> expr.Compare:
@@ -273,12 +273,12 @@ def compare(c: Children) -> expr.Compare:
         else:
             rest.append((op, child))
             op = ""
-    return expr.Compare(c[0], tuple(rest), across(c[0], c[-1]))
+    return expr.Compare(c[0], tuple(rest), span_of_nodes(c[0], c[-1]))
 
 
 def binary(c: Children) -> expr.Binary:
     left, op, right = c
-    return expr.Binary(op[1], left, right, across(left, right))
+    return expr.Binary(op[1], left, right, span_of_nodes(left, right))
 
 
 def attribute(c: Children) -> expr.Attribute:
@@ -290,21 +290,21 @@ def attribute(c: Children) -> expr.Attribute:
 
 
 def primed(c: Children) -> expr.Primed:
-    return expr.Primed(c[0], reach(c[0], c[1]))
+    return expr.Primed(c[0], span_across(c[0], c[1]))
 
 
 def index(c: Children) -> expr.Index:
-    return expr.Index(c[0], c[2], reach(c[0], c[3]))
+    return expr.Index(c[0], c[2], span_across(c[0], c[3]))
 
 
 def slice_(c: Children) -> expr.Slice:
     start = c[2] if type(c[2]) is not tuple else None
     stop = c[-2] if type(c[-2]) is not tuple else None
-    return expr.Slice(c[0], start, stop, reach(c[0], c[-1]))
+    return expr.Slice(c[0], start, stop, span_across(c[0], c[-1]))
 
 
 def call(c: Children) -> expr.Call:
-    return expr.Call(c[0], nodes(c[1:]), reach(c[0], c[-1]))
+    return expr.Call(c[0], nodes(c[1:]), span_across(c[0], c[-1]))
 
 
 def keyword(c: Children) -> expr.Keyword:
@@ -324,9 +324,11 @@ def integer(c: Children) -> expr.Literal:
     value = int(digits) if len(digits) < 20 else 2**63
     if value >= 2**63:
         help = f"an int has 64 bits: at most {2**63 - 1}"
-        raise refused("K009", f"{_shown(digits)} is too large for an int", token_span(c[0]), help)
+        raise builder_error("K009", f"{_shown(digits)} is too large for an int", token_span(c[0]), help)
     if len(text) > 1 and text[0] == "0":
-        raise refused("K001", f"a number does not begin with 0: {_shown(text)}", token_span(c[0]), f"write {value}")
+        raise builder_error(
+            "K001", f"a number does not begin with 0: {_shown(text)}", token_span(c[0]), f"write {value}"
+        )
     return expr.Literal(value, token_span(c[0]))
 
 
@@ -334,7 +336,7 @@ def real(c: Children) -> expr.Literal:
     value = float(c[0][1])
     if value == float("inf"):
         help = "a float is at most about 1.8e308"
-        raise refused("K009", f"{_shown(c[0][1])} is too large for a float", token_span(c[0]), help)
+        raise builder_error("K009", f"{_shown(c[0][1])} is too large for a float", token_span(c[0]), help)
     return expr.Literal(value, token_span(c[0]))
 
 
@@ -344,7 +346,7 @@ def string(c: Children) -> expr.Literal:
         if escape[0] not in _ESCAPES:
             start = column + escape.start()
             help = "the escapes are \\\" \\' \\\\ \\n \\t"
-            raise refused("K001", f"'{escape[0]}' is no escape", Span(line, start, line, start + 2), help)
+            raise builder_error("K001", f"'{escape[0]}' is no escape", Span(line, start, line, start + 2), help)
     return expr.Literal(_ESCAPE.sub(lambda escape: _ESCAPES[escape[0]], text[1:-1]), token_span(c[0]))
 
 
@@ -357,7 +359,7 @@ def group(c: Children) -> expr.Expr:
 
     They have no node of their own.
     """
-    node: expr.Expr = replace(c[1], span=reach(c[0], c[2]))
+    node: expr.Expr = replace(c[1], span=span_across(c[0], c[2]))
     return node
 
 
@@ -365,21 +367,21 @@ def tuple_(c: Children) -> expr.Tuple:
     items = nodes(c)
     if len(items) < 2:
         help = "parentheses need no comma inside"
-        raise refused("K001", "a tuple has two items at least", reach(c[0], c[-1]), help)
-    return expr.Tuple(items, reach(c[0], c[-1]))
+        raise builder_error("K001", "a tuple has two items at least", span_across(c[0], c[-1]), help)
+    return expr.Tuple(items, span_across(c[0], c[-1]))
 
 
 def list_(c: Children) -> expr.ListDisplay:
-    return expr.ListDisplay(nodes(c), reach(c[0], c[-1]))
+    return expr.ListDisplay(nodes(c), span_across(c[0], c[-1]))
 
 
 def set_(c: Children) -> expr.SetDisplay:
-    return expr.SetDisplay(nodes(c), reach(c[0], c[-1]))
+    return expr.SetDisplay(nodes(c), span_across(c[0], c[-1]))
 
 
 def map_(c: Children) -> expr.MapDisplay:
     items = nodes(c)
-    return expr.MapDisplay(tuple(zip(items[::2], items[1::2], strict=True)), reach(c[0], c[-1]))
+    return expr.MapDisplay(tuple(zip(items[::2], items[1::2], strict=True)), span_across(c[0], c[-1]))
 
 
 def _shown(text: str) -> str:
@@ -394,17 +396,17 @@ def block(c: Children) -> stmt.Block:
 
 
 def if_(c: Children) -> stmt.If:
-    first = stmt.Branch(c[1], c[3], reach(c[0], c[1]))
+    first = stmt.Branch(c[1], c[3], span_across(c[0], c[1]))
     orelse: stmt.Block = c[-1] if len(c) > 4 and type(c[-1]) is tuple else ()
     elifs = tuple(b for b in c[4:] if type(b) is stmt.Branch)
     if len(elifs) > MOST_ELIFS:
         message = f"more than {MOST_ELIFS} 'elif' follow one 'if'"
-        raise refused("K007", message, elifs[MOST_ELIFS].span, "split the chain")
+        raise builder_error("K007", message, elifs[MOST_ELIFS].span, "split the chain")
     return stmt.If((first, *elifs), orelse, first.span)
 
 
 def elif_(c: Children) -> stmt.Branch:
-    return stmt.Branch(c[1], c[3], reach(c[0], c[1]))
+    return stmt.Branch(c[1], c[3], span_across(c[0], c[1]))
 
 
 def else_(c: Children) -> stmt.Block:
@@ -417,25 +419,25 @@ def atomic_(c: Children) -> stmt.Atomic:
 
 
 def for_(c: Children) -> stmt.For:
-    return stmt.For(names(c[1:-4]), c[-3], c[-1], reach(c[0], c[-3]))
+    return stmt.For(names(c[1:-4]), c[-3], c[-1], span_across(c[0], c[-3]))
 
 
 def counted_for(c: Children) -> stmt.CountedFor:
-    return stmt.CountedFor(expr.Name(c[1][1], token_span(c[1])), c[3], c[5], c[7], reach(c[0], c[5]))
+    return stmt.CountedFor(expr.Name(c[1][1], token_span(c[1])), c[3], c[5], c[7], span_across(c[0], c[5]))
 
 
 def while_(c: Children) -> stmt.While:
-    return stmt.While(c[1], c[3], reach(c[0], c[1]))
+    return stmt.While(c[1], c[3], span_across(c[0], c[1]))
 
 
 def assign(c: Children) -> stmt.Assign:
     target, mark, value = c
-    return stmt.Assign(target, mark[1][:-1], value, across(target, value))
+    return stmt.Assign(target, mark[1][:-1], value, span_of_nodes(target, value))
 
 
 def declare(c: Children) -> stmt.Declare:
     value = c[3] if len(c) == 4 else None
-    return stmt.Declare(as_type(c[0]), c[1][1], token_span(c[1]), value, reach(c[0], c[-1]))
+    return stmt.Declare(as_type(c[0]), c[1][1], token_span(c[1]), value, span_across(c[0], c[-1]))
 
 
 def evaluate(c: Children) -> stmt.Evaluate | stmt.BrokenStmt:
@@ -445,7 +447,7 @@ def evaluate(c: Children) -> stmt.Evaluate | stmt.BrokenStmt:
 
 
 def return_(c: Children) -> stmt.Return:
-    return stmt.Return(c[1], reach(c[0], c[1]))
+    return stmt.Return(c[1], span_across(c[0], c[1]))
 
 
 def break_(c: Children) -> stmt.Break:
@@ -465,7 +467,7 @@ def stop_(c: Children) -> stmt.Stop:
 
 
 def loop_invariant(c: Children) -> stmt.Invariant:
-    return stmt.Invariant(c[1], reach(c[0], c[1]))
+    return stmt.Invariant(c[1], span_across(c[0], c[1]))
 
 
 def broken(c: Children) -> expr.Broken:

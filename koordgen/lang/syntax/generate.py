@@ -43,7 +43,7 @@ def tables() -> str:
     used = [arg for row in table.states.values() for _, arg in row.values() if hasattr(arg, "origin")]
     rules = sorted({_rule(arg) for arg in used})
     rule_number = {rule: number for number, rule in enumerate(rules)}
-    order = _reached(table, symbols)
+    order = _numbered_states(table, symbols)
     state_number = {state: number for number, state in enumerate(order)}
 
     def code(arg: Any) -> int:
@@ -86,7 +86,7 @@ def _has(rule: Any, names: set[str]) -> bool:
     return any(symbol.name in names for symbol in rule.expansion)
 
 
-def _reached(table: Any, symbols: dict[str, str]) -> list[int]:
+def _numbered_states(table: Any, symbols: dict[str, str]) -> list[int]:
     """Return all states, breadth first from the start, with symbols in alphabetical order."""
     order = [table.start_states["start"]]
     seen = set(order)

@@ -65,7 +65,7 @@ _ASSIGNS = re.compile(
     r"[ \t]*(?:[-+*/%]|//|\*\*)?=(?!=)"
 )
 _NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
-GOES_ON = frozenset(("and", "or", "&&", "||"))  # a line that begins with one continues the line before
+CONTINUING = frozenset(("and", "or", "&&", "||"))  # a line that begins with one continues the line before
 _CLOSES = {")": "(", "]": "[", "}": "{"}
 _BRACKETS = frozenset("()[]{}")
 
@@ -168,7 +168,7 @@ class _Layout:
                 if fresh:
                     indent, tab = len(token), token.find("\t")
             elif token[-1] == "\n":
-                if token == "\n" and (not self.brackets or self._abandoned(text, line_start + column)):
+                if token == "\n" and (not self.brackets or self._is_abandoned(text, line_start + column)):
                     if not fresh:
                         self._end_line(line, column, first)
                     fresh, indent, tab = True, 0, -1
@@ -177,7 +177,7 @@ class _Layout:
             elif token[0] != "#":
                 if fresh:
                     fresh = False
-                    if token not in GOES_ON or not self._goes_on(indent):
+                    if token not in CONTINUING or not self._continues(indent):
                         self._start_line(line, indent, tab)
                         first = len(self.chunk.tokens)
                         append = self.chunk.tokens.append
@@ -271,7 +271,7 @@ class _Layout:
                 label = Label(Span(opened[2], opened[3], opened[2], opened[3] + 1), "opened here")
                 self._report("K006", f"'{text}' does not close '{opened[1]}'", line, column, labels=(label,))
 
-    def _abandoned(self, text: str, position: int) -> bool:
+    def _is_abandoned(self, text: str, position: int) -> bool:
         """Return whether the text after a line end shows that brackets were never closed; report them if so."""
         if _BEGINS.match(text, position) is None:
             assigns = _ASSIGNS.match(text, position)
@@ -289,7 +289,7 @@ class _Layout:
         help = _NO_BRACES if text == "{" and self.chunk.tokens[-1] == bracket else ""
         self._report("K006", f"'{text}' is never closed", line, column, help)
 
-    def _goes_on(self, indent: int) -> bool:
+    def _continues(self, indent: int) -> bool:
         """Return whether a line that begins with `and` or `or` continues the one before.
 
         Remove that line's NEWLINE.

@@ -26,7 +26,7 @@ class Stuck(Exception):
         self.position = position
 
 
-def planned(state: int, symbol: str) -> int | None:
+def table_entry(state: int, symbol: str) -> int | None:
     """Return the entry of the tables for a state and a symbol; None if there is none."""
     return STATES[state].get(symbol) if symbol != "BROKEN" else BROKEN.get(state)
 
@@ -44,7 +44,7 @@ class _Row(dict[str, Any]):
         self.state = state
 
     def __missing__(self, symbol: str) -> Any:
-        code = planned(self.state, symbol)
+        code = table_entry(self.state, symbol)
         action = code if code is None or code >= 0 else _reduction(-code - 1, symbol)
         self[symbol] = action
         return action
@@ -141,11 +141,11 @@ def section(tokens: Sequence[Any], long: bool) -> Any:
     """Parse a section to a node, with a check of its depth if `long`. Raises Stuck and Refused."""
     node = run(tokens)
     if long:
-        measure(node)
+        check_depth(node)
     return node
 
 
-def measure(section: Node) -> None:
+def check_depth(section: Node) -> None:
     """Raise Refused if a tree is nested too deeply for the recursive passes.
 
     Counts expressions, types, and blocks on one line (`while a: while b: ...`).
@@ -161,7 +161,7 @@ def measure(section: Node) -> None:
         elif isinstance(node, (stmt.If, stmt.For, stmt.CountedFor, stmt.While, stmt.Atomic)):
             blocks += 1
         if blocks > DEEPEST_BLOCKS:
-            raise build.refused("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
+            raise build.builder_error("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
         if depth > DEEPEST_TREE:
             raise too_deep(node.span)
         for field in type(node).__match_args__:
@@ -170,7 +170,7 @@ def measure(section: Node) -> None:
                 pending.append((child, blocks, depth))
 
 
-def too_deep(span: Span) -> build.Refused:
+def too_deep(span: Span) -> build.BuilderError:
     """Make an exception to raise for an expression that is nested too deeply."""
     message = f"this expression is nested more than {DEEPEST_TREE} deep"
-    return build.refused("K007", message, span, "give parts of it names of their own")
+    return build.builder_error("K007", message, span, "give parts of it names of their own")

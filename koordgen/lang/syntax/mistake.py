@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.syntax._generated.grammar import RULES, STATES
+from koordgen.lang.syntax.error_site import ErrorSite, column_after, place, shown, start_of_line
 from koordgen.lang.syntax.habits import HABITS, headers
 from koordgen.lang.syntax.layout import KEYWORDS, Token
 from koordgen.lang.syntax.marks import MARKS
-from koordgen.lang.syntax.spelling import misspelt
-from koordgen.lang.syntax.spot import Spot, behind, place, shown, start_of_line
+from koordgen.lang.syntax.spelling import misspelt_keyword
 
 _EXPRESSION = {"NAME", "INT", "FLOAT", "STRING", "True", "False", "(", "[", "{", "-", "not", "forall", "exists"}
 _STATEMENT = {
@@ -47,105 +47,115 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
     `states` is the parser's stack after the previous token, before any reduction for the rejected one. An LALR parser
     may reduce before it finds that a token does not fit; then the tokens that would have fitted are no longer known.
     """
-    spot = Spot(tokens, position, _acceptable(states))
-    for rule in (*MARKS, *HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
-        told = rule(spot)
-        if told is not None:
-            return told
-    return _expected(spot)
+    site = ErrorSite(tokens, position, _acceptable(states))
+    for rule in (
+        *MARKS,
+        *HABITS,
+        _indentation,
+        _equals,
+        misspelt_keyword,
+        headers,
+        _colon,
+        _reserved_word,
+        _one_formula,
+    ):
+        diagnostic = rule(site)
+        if diagnostic is not None:
+            return diagnostic
+    return _expected(site)
 
 
-def _indentation(spot: Spot) -> Diagnostic | None:
-    if spot.kind == "INDENT":
-        before = spot.tokens[start_of_line(spot.tokens, spot.position - 1)]
+def _indentation(site: ErrorSite) -> Diagnostic | None:
+    if site.kind == "INDENT":
+        before = site.tokens[start_of_line(site.tokens, site.position - 1)]
         depth = f"indent it by {before[3] - 1} spaces as line {before[2]}"
         help = f"{depth}: only what belongs to a block stands deeper than the line before"
-        return spot.error("unexpected indentation", help, code="K008")
-    if spot.expected == {"INDENT"} and spot.position > 1:
-        colon = spot.tokens[spot.position - 2]
-        message = f"expected an indented block {_after(spot.tokens, spot.position - 2)}"
-        return spot.error(message, span=behind(colon), code="K008")
+        return site.error("unexpected indentation", help, code="K008")
+    if site.expected == {"INDENT"} and site.position > 1:
+        colon = site.tokens[site.position - 2]
+        message = f"expected an indented block {_after(site.tokens, site.position - 2)}"
+        return site.error(message, span=column_after(colon), code="K008")
     return None
 
 
-def _equals(spot: Spot) -> Diagnostic | None:
+def _equals(site: ErrorSite) -> Diagnostic | None:
     """Report `=` in a place where nothing can be assigned."""
-    if spot.kind != "=" or "==" not in spot.expected:
+    if site.kind != "=" or "==" not in site.expected:
         return None
-    if any(token[0] == "=" or token[0] in _AUGMENTED for token in spot.head) and not spot.bracket:
+    if any(token[0] == "=" or token[0] in _AUGMENTED for token in site.head) and not site.bracket:
         help = "write one assignment a line"
-        return spot.error("an assignment has no value and cannot stand in another one", help)
-    if spot.bracket or _governing(spot) in _CONDITIONS:
-        return spot.error("'=' assigns and cannot stand in a condition", "'==' compares")
-    return spot.error("what stands before '=' cannot be assigned", span=place(spot.head[0], spot.head[-1]))
+        return site.error("an assignment has no value and cannot stand in another one", help)
+    if site.bracket or _governing(site) in _CONDITIONS:
+        return site.error("'=' assigns and cannot stand in a condition", "'==' compares")
+    return site.error("what stands before '=' cannot be assigned", span=place(site.head[0], site.head[-1]))
 
 
-def _governing(spot: Spot) -> str:
+def _governing(site: ErrorSite) -> str:
     """Return the keyword that determines the kind of a line.
 
     It is the line's first word, or that of the header above its block.
     """
-    tokens, start = spot.tokens, spot.start
-    for token in reversed(spot.head):  # `E: pre: a = 3` begins with the event's name
+    tokens, start = site.tokens, site.start
+    for token in reversed(site.head):  # `E: pre: a = 3` begins with the event's name
         if token[0] in _CONDITIONS:
             return token[0]
     if start > 2 and [token[0] for token in tokens[start - 3 : start]] == [":", "NEWLINE", "INDENT"]:
-        above = Spot(tokens, start - 3, set())
+        above = ErrorSite(tokens, start - 3, set())
         return above.first[0]
-    return spot.first[0]
+    return site.first[0]
 
 
-def _colon(spot: Spot) -> Diagnostic | None:
+def _colon(site: ErrorSite) -> Diagnostic | None:
     """Report a header without a colon."""
-    if ":" not in spot.expected or spot.bracket:
+    if ":" not in site.expected or site.bracket:
         return None
-    if spot.expected != {":"} and any(token[0] == ":" for token in spot.rest):
+    if site.expected != {":"} and any(token[0] == ":" for token in site.rest):
         return None  # the colon exists, so the error is something before it
-    span = behind(spot.before) if spot.before is not None else spot.span
+    span = column_after(site.before) if site.before is not None else site.span
     help = ""
-    header = spot.tokens[-1] if spot.ends else (spot.rest or [spot.first])[-1]
-    deeper = any(token[0] == "INDENT" for token in spot.tokens[: spot.position + 2])
-    if spot.start == 0 and spot.first[0] == "NAME" and header[0] != ":" and not deeper:
-        help = _outside(spot)
-    return spot.error(f"expected ':' {_after(spot.tokens, spot.position)}", help, span)
+    header = site.tokens[-1] if site.ends else (site.rest or [site.first])[-1]
+    deeper = any(token[0] == "INDENT" for token in site.tokens[: site.position + 2])
+    if site.start == 0 and site.first[0] == "NAME" and header[0] != ":" and not deeper:
+        help = _outside(site)
+    return site.error(f"expected ':' {_after(site.tokens, site.position)}", help, span)
 
 
-def _outside(spot: Spot) -> str:
+def _outside(site: ErrorSite) -> str:
     """Return a help for a line at the left margin that is not a header."""
-    kinds = [token[0] for token in spot.tokens[: spot.position + 2]]
+    kinds = [token[0] for token in site.tokens[: site.position + 2]]
     if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:
         return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
     return "a statement stands under 'init:' or an event's 'eff:'"
 
 
-def _taken(spot: Spot) -> Diagnostic | None:
+def _reserved_word(site: ErrorSite) -> Diagnostic | None:
     """Report a reserved word in place of a name."""
-    word = spot.kind in KEYWORDS or spot.kind == "GENERIC" or (spot.kind == spot.text and spot.text.isalpha())
+    word = site.kind in KEYWORDS or site.kind == "GENERIC" or (site.kind == site.text and site.text.isalpha())
     if not word:
         return None
-    named = spot.expected == {"NAME"} or (
-        "NAME" in spot.expected and (spot.next in ("=", "NEWLINE", "[", ")") or spot.next in _AUGMENTED)
+    named = site.expected == {"NAME"} or (
+        "NAME" in site.expected and (site.next in ("=", "NEWLINE", "[", ")") or site.next in _AUGMENTED)
     )
-    if named and not (spot.kind == "GENERIC" and spot.next == "["):
-        help = f"'{spot.text}' is a word of the language; choose another name"
-        return spot.error(f"expected a name, found '{spot.text}'", help)
+    if named and not (site.kind == "GENERIC" and site.next == "["):
+        help = f"'{site.text}' is a word of the language; choose another name"
+        return site.error(f"expected a name, found '{site.text}'", help)
     return None
 
 
-def _one_formula(spot: Spot) -> Diagnostic | None:
+def _one_formula(site: ErrorSite) -> Diagnostic | None:
     """Report a second expression under `pre:` or under the header of a property."""
-    if spot.expected == {"DEDENT"}:
-        return spot.error("a condition is one expression", "join conditions with 'and' or 'or'")
+    if site.expected == {"DEDENT"}:
+        return site.error("a condition is one expression", "join conditions with 'and' or 'or'")
     return None
 
 
-def _expected(spot: Spot) -> Diagnostic:
-    found = f"found '{shown(spot.text)}'" if spot.text else f"found {_WORDS.get(spot.kind, spot.kind)}"
-    after = f" after '{shown(spot.before[1])}'" if spot.before is not None and spot.before[1] else ""
+def _expected(site: ErrorSite) -> Diagnostic:
+    found = f"found '{shown(site.text)}'" if site.text else f"found {_WORDS.get(site.kind, site.kind)}"
+    after = f" after '{shown(site.before[1])}'" if site.before is not None and site.before[1] else ""
     help = ""
-    if spot.ends and spot.wants_expression and spot.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
+    if site.ends and site.wants_expression and site.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
         help = "a line goes on after '\\', inside brackets, or where the next one begins with 'and' or 'or'"
-    return spot.error(f"expected {_list(spot.expected)}{after}, {found}", help)
+    return site.error(f"expected {_list(site.expected)}{after}, {found}", help)
 
 
 def _acceptable(states: list[int]) -> set[str]:

@@ -24,12 +24,12 @@ def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
         read: list[Any] = []
         found: list[Diagnostic] = []
         for chunk in chunks:
-            wrong: Stuck | build.Refused | None = None
+            wrong: Stuck | build.BuilderError | None = None
             if not chunk.faults:
                 try:
                     read.append(section(chunk.tokens, chunk.long))
                     continue
-                except (Stuck, build.Refused) as error:
+                except (Stuck, build.BuilderError) as error:
                     wrong = error
             from koordgen.lang.syntax.recover import recovered
 

@@ -31,7 +31,7 @@ Tokens = list[Any]
 States = list[int]
 
 
-def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refused | None) -> decl.Section:
+def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.BuilderError | None) -> decl.Section:
     """Return the node of a section with errors: in its layout, or `wrong`, which ended the first attempt.
 
     Adds their diagnostics to `found`, up to MOST_FAULTS.
@@ -50,7 +50,7 @@ def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refuse
         else:
             try:
                 return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
-            except (Stuck, build.Refused) as error:
+            except (Stuck, build.BuilderError) as error:
                 wrong = error
     first = chunk.tokens[0]
     return decl.BrokenSection(_names(chunk.tokens), Span(first[2], first[3], first[2], first[3] + len(first[1])))
@@ -63,7 +63,7 @@ class _Repair:
         self.tokens: Tokens = list(chunk.tokens)
         self.found = found
         self.touched: dict[int, int] = {}  # line number -> number of repairs in it
-        self.told: set[tuple[int, int]] = set()  # positions of reported errors
+        self.reported: set[tuple[int, int]] = set()  # positions of reported errors
         self.tried = False  # a `try` was reported, so its `except` is not
         self.muted = False  # tabs in the indentation: later errors may be consequences
         self.hopeless = len(found) == MOST_FAULTS
@@ -85,11 +85,11 @@ class _Repair:
     def fault(self, diagnostic: Diagnostic) -> None:
         """Report and repair an error that the layout or a builder found."""
         position = self._position(diagnostic)
-        told = self._tell(diagnostic, position)
+        reported = self._report(diagnostic, position)
         if diagnostic.code == "K004":
             self.muted = True
         elif diagnostic.code == "K005":
-            if told:
+            if reported:
                 self._rejoin(position)
         elif self.tokens[position][0] == "INDENT":  # blocks are nested too deeply
             end = _block_end(self.tokens, position)
@@ -110,9 +110,9 @@ class _Repair:
             self.hopeless = True
             return
         if len(states) > _DEEPEST_STACK:
-            first = self._tell(too_deep(token_span(self.tokens[position])).diagnostic, position)
+            first = self._report(too_deep(token_span(self.tokens[position])).diagnostic, position)
         else:
-            first = self._tell(explain(self.tokens, position, states), position)
+            first = self._report(explain(self.tokens, position, states), position)
         if kind == "INDENT":
             self._deeper(position, states)
         elif kind in ("pre", "eff") and self.tokens[0][0] == "priority" and _awaits_event(states):
@@ -124,7 +124,7 @@ class _Repair:
         else:
             self._line(position, colon=first)
 
-    def _tell(self, diagnostic: Diagnostic, position: int) -> bool:
+    def _report(self, diagnostic: Diagnostic, position: int) -> bool:
         """Report an error, and return whether it is the first one in its line.
 
         A further error in the same line or at the same position may be a consequence of the first and is not reported.
@@ -135,9 +135,9 @@ class _Repair:
         self.tried |= first[1] == "try"
         times = self.touched[line] = self.touched.get(line, 0) + 1
         where = _place(diagnostic)
-        if times == 1 and where not in self.told and not echo and len(self.found) < MOST_FAULTS:
+        if times == 1 and where not in self.reported and not echo and len(self.found) < MOST_FAULTS:
             self.found.append(diagnostic)
-            self.told.add(where)
+            self.reported.add(where)
         self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS
         return times == 1
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.syntax.error_site import ErrorSite, place, shown
 from koordgen.lang.syntax.layout import KEYWORDS, Token
-from koordgen.lang.syntax.spot import Spot, place, shown
 
 _SECTIONS = (
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
@@ -18,31 +18,31 @@ _STATEMENTS = (
 _RIGHT = frozenset(("int", "float", "bool", "string", "print", "form", "list", "and", "or", "not", "in", "is"))
 
 
-def misspelt(spot: Spot) -> Diagnostic | None:
+def misspelt_keyword(site: ErrorSite) -> Diagnostic | None:
     """Report a misspelt keyword.
 
     Candidates are the rejected token, the one before, the line's first, and the section's first.
     """
-    tokens = spot.tokens
-    last = tokens[spot.position]
-    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(spot.expected & (KEYWORDS | {"requires", "ensures"})))]
-    if spot.before is not None and spot.kind in ("NAME", "not", "forall", "exists"):
-        tries.append((spot.before, ("forall", "exists", "not", "in")))
-    if spot.start < spot.position:
-        tries.append((spot.first, _beginning(spot)))
-    if {"pre", "eff"} & spot.expected:
+    tokens = site.tokens
+    last = tokens[site.position]
+    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(site.expected & (KEYWORDS | {"requires", "ensures"})))]
+    if site.before is not None and site.kind in ("NAME", "not", "forall", "exists"):
+        tries.append((site.before, ("forall", "exists", "not", "in")))
+    if site.start < site.position:
+        tries.append((site.first, _beginning(site)))
+    if {"pre", "eff"} & site.expected:
         tries.append((tokens[0], _SECTIONS))
     for token, choices in tries:
         meant = _near(token[1], choices) if token[0] == "NAME" else ""
         if meant:
             message = f"'{shown(token[1])}' is no word of the language"
-            return spot.error(message, f"did you mean '{meant}'?", place(token, token))
+            return site.error(message, f"did you mean '{meant}'?", place(token, token))
     return None
 
 
-def _beginning(spot: Spot) -> tuple[str, ...]:
+def _beginning(site: ErrorSite) -> tuple[str, ...]:
     """Return the keywords with which the line may begin."""
-    level, section = spot.level(), spot.tokens[0][0]
+    level, section = site.level(), site.tokens[0][0]
     if level == 0:
         return _SECTIONS
     if section == "using":

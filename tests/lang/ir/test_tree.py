@@ -104,9 +104,9 @@ def test_the_fields_with_children_of_every_class() -> None:
 
 def test_drafts_have_children_and_are_no_statements() -> None:
     index, stop = expr.Pid(INT, AT), stmt.Stop(AT)
-    assert [child_fields(k) for k in (draft.SlotPlace, draft.Atomic, draft.Unread)] == [("index",), (), ()]
-    assert children(draft.Wrong((index,), AT)) == (index,)
-    block: tuple[draft.Draft, ...] = (draft.Atomic(AT), draft.Unread(AT), stop, draft.Wrong((index,), AT))
+    assert [child_fields(k) for k in (draft.SlotPlace, draft.Atomic, draft.UnparsedStmt)] == [("index",), (), ()]
+    assert children(draft.WrongStmt((index,), AT)) == (index,)
+    block: tuple[draft.Draft, ...] = (draft.Atomic(AT), draft.UnparsedStmt(AT), stop, draft.WrongStmt((index,), AT))
     assert list(statements(block)) == [stop]
 
 

@@ -18,15 +18,15 @@ from koordgen.lang.analyze.facts.linear import (
     PID,
     And,
     AtLeastZero,
-    Choice,
-    Fact,
+    BoolFact,
+    ConditionalTerm,
     Formula,
     Length,
     Linear,
     Or,
     Quotient,
     Remainder,
-    Unknown,
+    UnknownCondition,
     Var,
     at_least,
     combine,
@@ -63,7 +63,7 @@ def unsat(formulas: Iterable[Formula]) -> bool:
 
 @lru_cache(1000)  # programs use the same index in many events, so the same question is asked repeatedly
 def _unsat(formulas: tuple[Formula, ...]) -> bool:
-    return _closed([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
+    return _is_refuted([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
 
 
 def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
@@ -89,7 +89,7 @@ def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
     return tuple(kept)
 
 
-def _closed(
+def _is_refuted(
     pending: list[Formula], rows: list[Linear], facts: dict[object, bool], defined: frozenset[Var], budget: list[int]
 ) -> bool:
     """Return whether every branch of the formulas ends in a contradiction.
@@ -108,7 +108,7 @@ def _closed(
                         if not isinstance(var, str) and var not in defined:
                             defined |= {var}
                             pending.extend(_definition(var))
-                case Fact(key, holds):
+                case BoolFact(key, holds):
                     if facts.setdefault(key, holds) != holds:
                         return True
                 case And(parts):
@@ -117,7 +117,7 @@ def _closed(
                     if not parts:
                         return True
                     open_.append(formula)
-                case Unknown():
+                case UnknownCondition():
                     pass
                 case _:
                     assert_never(formula)
@@ -128,10 +128,10 @@ def _closed(
         left: list[Or] = []
         ways = []
         for either in open_:
-            told = [_told(part, limits, facts) for part in either.parts]
-            if True in told:
+            truths = [_truth_within(part, limits, facts) for part in either.parts]
+            if True in truths:
                 continue
-            possible = tuple([part for part, truth in zip(either.parts, told, strict=True) if truth is None])
+            possible = tuple([part for part, truth in zip(either.parts, truths, strict=True) if truth is None])
             if not possible:
                 return True
             if len(possible) == 1:
@@ -140,7 +140,7 @@ def _closed(
                 left.append(either)
                 ways.append(possible)
         open_ = left
-    if not _near_limits(rows, limits) and _contradictory(rows):
+    if not _holds_at_limits(rows, limits) and _is_contradictory(rows):
         return True
     if not open_:
         return False
@@ -148,7 +148,7 @@ def _closed(
     others = [Or(way) for i, way in enumerate(ways) if i != least]
     for part in ways[least]:
         budget[0] -= 1
-        if budget[0] < 0 or not _closed([part, *others], list(rows), dict(facts), defined, budget):
+        if budget[0] < 0 or not _is_refuted([part, *others], list(rows), dict(facts), defined, budget):
             return False
     return True
 
@@ -181,7 +181,7 @@ def _limits(rows: list[Linear]) -> _Limits | None:
     return limits
 
 
-def _near_limits(rows: list[Linear], limits: _Limits) -> bool:
+def _holds_at_limits(rows: list[Linear], limits: _Limits) -> bool:
     """Return whether all rows hold for values at the variables' limits.
 
     This is a quick proof that the rows can be satisfied.
@@ -203,7 +203,7 @@ def _near_limits(rows: list[Linear], limits: _Limits) -> bool:
     return True
 
 
-def _told(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
+def _truth_within(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
     """Return whether a formula holds, by limits and facts alone; None if they do not decide it."""
     match formula:
         case AtLeastZero(linear):
@@ -211,15 +211,15 @@ def _told(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool 
             if least is not None and least >= 0:
                 return True
             return False if most is not None and most > 0 else None
-        case Fact(key, holds):
+        case BoolFact(key, holds):
             known = facts.get(key)
             return None if known is None else known == holds
         case And(parts):
-            told = [_told(part, limits, facts) for part in parts]
-            return False if False in told else None if None in told else True
+            truths = [_truth_within(part, limits, facts) for part in parts]
+            return False if False in truths else None if None in truths else True
         case Or(parts):
-            told = [_told(part, limits, facts) for part in parts]
-            return True if True in told else None if None in told else False
+            truths = [_truth_within(part, limits, facts) for part in parts]
+            return True if True in truths else None if None in truths else False
         case _:
             return None
 
@@ -251,7 +251,7 @@ def _definition(var: Var) -> list[Formula]:
             positive = at_least(divisor, constant(1))
             range_ = And((at_least(variable(var), constant(0)), less(variable(var), divisor)))
             return [Or((negate(positive), range_))]
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             return [
                 Or(
                     (
@@ -264,7 +264,7 @@ def _definition(var: Var) -> list[Formula]:
             return []
 
 
-def _contradictory(rows: Iterable[Linear]) -> bool:
+def _is_contradictory(rows: Iterable[Linear]) -> bool:
     """Return whether no integers make all rows >= 0, by elimination of one variable after the other."""
     system: dict[tuple[tuple[Var, int], ...], int] = {}
     for row in rows:
@@ -368,7 +368,7 @@ def _constants(item: Formula | Linear | Var) -> Iterator[int]:
         case Remainder(operand, divisor):
             yield from _constants(operand)
             yield from _constants(divisor)
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             yield from _constants(condition)
             yield from _constants(then)
             yield from _constants(orelse)

@@ -12,7 +12,7 @@ from koordgen.lang.analyze.facts.linear import (
     UNKNOWN,
     And,
     AtLeastZero,
-    Fact,
+    BoolFact,
     Formula,
     Length,
     Linear,
@@ -35,7 +35,7 @@ _NONE: _Names = frozenset()
 _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 
 
-class Known(Node):
+class KnownCondition(Node):
     """A condition that holds.
 
     `about` has the variables that it depends on, `origin` the condition of the program that it comes from.
@@ -54,7 +54,7 @@ class Flow(Node):
     the variable's length. `about` is a superset of all variables that the facts depend on.
     """
 
-    known: tuple[Known, ...] = ()
+    known: tuple[KnownCondition, ...] = ()
     values: dict[str, tuple[Linear | Formula, frozenset[str]]] = {}  # noqa: RUF012 - never changed
     about: frozenset[str] = frozenset()
 
@@ -89,14 +89,14 @@ class Flow(Node):
                     grown = True
         return kept
 
-    def knowing(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
+    def assuming(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
         """Return these facts and a condition. `about` has its variables, if the caller knows them."""
         if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
         if about is None:
             about = names_of(condition)
         known = self.known if len(self.known) < MOST_FACTS else (self.known[0], *self.known[2:])
-        return Flow((*known, Known(condition, about, condition)), self.values, self.about | about)
+        return Flow((*known, KnownCondition(condition, about, condition)), self.values, self.about | about)
 
     def forgetting(self, names: frozenset[str], sized: frozenset[str] = frozenset()) -> Flow:
         """Return these facts without those that depend on `names`.
@@ -105,7 +105,7 @@ class Flow(Node):
         """
         if names.isdisjoint(self.about):
             return self
-        known = [rest for k in self.known for rest in _without(k, names)]
+        known = [rest for k in self.known for rest in _remaining(k, names)]
         known += [k for k in self.known if not k.about.isdisjoint(sized) and independent(k.formula, names, sized)]
         values = {}
         for name, value in self.values.items():
@@ -140,19 +140,19 @@ class Flow(Node):
         if not isinstance(value, Linear) or value.terms != ((var, 1),):
             return self.forgetting(frozenset((name,)))
         by = value.constant
-        known: list[Known] = []
+        known: list[KnownCondition] = []
         for item in self.known:
             if name not in item.about:
                 known.append(item)
                 continue
             for part in item.formula.parts if isinstance(item.formula, And) else (item.formula,):
-                if _only_as(var, name, part):
+                if _occurs_only_as(var, name, part):
                     moved = linear.shifted(part, var, by)
-                    known.append(Known(moved, names_of(moved), item.origin))
+                    known.append(KnownCondition(moved, names_of(moved), item.origin))
         values = {n: v for n, v in self.values.items() if _owner(n) != name and name not in v[1]}
         flow = Flow(tuple(known[:MOST_FACTS]), values, self.about)
         longer = isinstance(var, Length) and by > 0
-        return flow.knowing(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
+        return flow.assuming(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
         """Return the facts known on both of two paths that meet."""
@@ -161,11 +161,11 @@ class Flow(Node):
         same = {id(known) for known in other.known}
         formulas = [known.formula for known in other.known]
         known = tuple([k for k in self.known if id(k) in same or k.formula in formulas])
-        values = {n: v for n, v in self.values.items() if n in other.values and _alike(v, other.values[n])}
+        values = {n: v for n, v in self.values.items() if n in other.values and _same_value(v, other.values[n])}
         return Flow(known, values, self.about)
 
 
-def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[Known]:
+def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[KnownCondition]:
     """Return the range of a variable that holds a remainder: it remains known after the dividend changed."""
     match value:
         case Linear(((Remainder(_, divisor), 1),), 0) if not name.startswith("len "):
@@ -173,12 +173,12 @@ def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[Known]:
             range_ = And((linear.at_least(term, linear.constant(0)), linear.less(term, divisor)))
             fact = Or((linear.less(divisor, linear.constant(1)), range_))
             about = names_of(fact)
-            return [Known(fact, about, fact)] if about.isdisjoint(names) else []
+            return [KnownCondition(fact, about, fact)] if about.isdisjoint(names) else []
         case _:
             return []
 
 
-def _alike(first: _Valued, second: _Valued) -> bool:
+def _same_value(first: _Valued, second: _Valued) -> bool:
     return first is second or first[0] == second[0]
 
 
@@ -187,7 +187,7 @@ def _owner(name: str) -> str:
     return name.removeprefix("len ")
 
 
-def _without(known: Known, names: _Names) -> tuple[Known, ...]:
+def _remaining(known: KnownCondition, names: _Names) -> tuple[KnownCondition, ...]:
     """Return what remains of a fact when some variables change: of a conjunction, the parts without them."""
     if known.about.isdisjoint(names):
         return (known,)
@@ -198,22 +198,22 @@ def _without(known: Known, names: _Names) -> tuple[Known, ...]:
     if not left:
         return ()
     about = _NONE.union(*(a for _, a in left))
-    return (Known(And(tuple([part for part, _ in left])), about, known.origin),)
+    return (KnownCondition(And(tuple([part for part, _ in left])), about, known.origin),)
 
 
 def independent(item: Linear | Formula, names: _Names, sized: _Names) -> bool:
     """Return whether a term or formula keeps its value when `names` change, all but lengths of `sized`."""
     formula = AtLeastZero(item) if isinstance(item, Linear) else item
-    return all(n in sized and _only_as(Length(n), n, formula) for n in names_of(item) & names)
+    return all(n in sized and _occurs_only_as(Length(n), n, formula) for n in names_of(item) & names)
 
 
-def _only_as(var: Var, name: str, formula: Formula) -> bool:
+def _occurs_only_as(var: Var, name: str, formula: Formula) -> bool:
     """Return whether a formula depends on the variable `name` only through the term `var`."""
     match formula:
         case AtLeastZero(term):
             return all(other == var or name not in names_of_var(other) for other, _ in term.terms)
         case And(parts) | Or(parts):
-            return all(_only_as(var, name, part) for part in parts)
+            return all(_occurs_only_as(var, name, part) for part in parts)
         case _:
             return name not in names_of(formula)
 
@@ -257,7 +257,7 @@ def _collect(item: Linear | Formula, found: set[str]) -> None:
     elif kind is And or kind is Or:
         for part in item.parts:  # type: ignore[union-attr]
             _collect(part, found)
-    elif kind is Fact:
+    elif kind is BoolFact:
         _add_keys((item.key,), found)  # type: ignore[union-attr]
 
 

@@ -15,20 +15,20 @@ from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import unsat
 from koordgen.lang.analyze.facts.flow import independent, names_of, variable_of
 from koordgen.lang.analyze.facts.linear import Formula, Linear
-from koordgen.lang.analyze.facts.terms import Flow, formula, learned, term
+from koordgen.lang.analyze.facts.terms import Flow, after_assignment, formula, term
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import INT
 
-MOST_WAYS = 16  # paths through a loop's block
+MOST_PATHS = 16  # paths through a loop's block
 MOST_COUNTERS = 4  # variables of one loop for which bounds are guessed
 
 Candidate = Callable[[Flow], Formula]  # facts at a point -> the candidate as a condition there
 Step = Callable[[Flow], Flow]
 
 
-class Turns(NamedTuple):
+class LoopModel(NamedTuple):
     """Loop, described for induction.
 
     `before` has the facts before the loop; `start` those at its head, which depend only on what the loop does not
@@ -54,14 +54,14 @@ class Turns(NamedTuple):
     stop: Linear | None = None
 
 
-class Kept(NamedTuple):
+class ProvedCandidates(NamedTuple):
     """Conditions that hold at the head of each iteration, and those of them that also hold after the loop."""
 
     inside: tuple[Candidate, ...]
-    behind: tuple[Candidate, ...]
+    after_loop: tuple[Candidate, ...]
 
 
-class _Ways:
+class _Paths:
     """Ends of an iteration, and exits by `break`, each with the facts known there."""
 
     def __init__(self) -> None:
@@ -69,80 +69,82 @@ class _Ways:
         self.broken: list[Flow] = []
 
 
-class _TooMany(Exception):
-    """The block has more paths through it than `MOST_WAYS`."""
+class _TooManyPaths(Exception):
+    """The block has more paths through it than `MOST_PATHS`."""
 
 
-def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
+def kept(turns: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
     """Return the candidates that always hold at the loop's head.
 
     Sound: each of them is proved before the loop, and at the end of each path through the block under the assumption
     that all of them hold at its head.
     """
     begins = turns.first(turns.before)
-    found = [candidate for candidate in candidates if _shown(candidate, begins)]
+    found = [candidate for candidate in candidates if _proved(candidate, begins)]
     while found:
-        ways = _Ways()
-        flow = turns.enter(knowing(turns.start, found))
+        paths = _Paths()
+        flow = turns.enter(assuming(turns.start, found))
         try:
-            ways.turned += _follow(turns.block, [flow], ways)
-        except _TooMany:
+            paths.turned += _paths_through(turns.block, [flow], paths)
+        except _TooManyPaths:
             break
-        ends = [turns.next(end) for end in ways.turned]
-        left = [candidate for candidate in found if all(_shown(candidate, end) for end in ends)]
+        ends = [turns.next(end) for end in paths.turned]
+        left = [candidate for candidate in found if all(_proved(candidate, end) for end in ends)]
         if len(left) == len(found):
-            return Kept(tuple(found), tuple([c for c in found if _holds_behind(c, turns, ways.broken)]))
+            return ProvedCandidates(
+                tuple(found), tuple([c for c in found if _holds_after_loop(c, turns, paths.broken)])
+            )
         found = left
-    return Kept((), ())
+    return ProvedCandidates((), ())
 
 
-def _holds_behind(candidate: Candidate, turns: Turns, broken: list[Flow]) -> bool:
+def _holds_after_loop(candidate: Candidate, turns: LoopModel, broken: list[Flow]) -> bool:
     """Return whether a condition that holds at the loop's head also holds at each `break`."""
     if turns.counter in names_of(candidate(turns.start)):
         broken = [turns.last(end) for end in broken]
-    return all(_shown(candidate, end) for end in broken)
+    return all(_proved(candidate, end) for end in broken)
 
 
-def behind(turns: Turns, found: Kept) -> Flow:
+def after_loop(turns: LoopModel, found: ProvedCandidates) -> Flow:
     """Return the facts known after a loop."""
-    return turns.leave(knowing(turns.last(turns.start), found.behind))
+    return turns.leave(assuming(turns.last(turns.start), found.after_loop))
 
 
-def knowing(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
+def assuming(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
     """Return the facts at a point, with the candidates added."""
     known = flow
     for candidate in candidates:
-        known = known.knowing(candidate(flow))
+        known = known.assuming(candidate(flow))
     return known
 
 
-def _shown(candidate: Candidate, flow: Flow) -> bool:
+def _proved(candidate: Candidate, flow: Flow) -> bool:
     condition = candidate(flow)
     if condition is linear.UNKNOWN:
         return False
     return unsat((*flow.relevant(names_of(condition)), linear.negate(condition)))
 
 
-def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
+def _paths_through(block: stmt.Block, flows: list[Flow], paths: _Paths) -> list[Flow]:
     """Return the facts at the end of a block, for each path to it. Raises _TooMany."""
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
-                flows = [learned(flow, place, value) for flow in flows]
+                flows = [after_assignment(flow, place, value) for flow in flows]
             case stmt.Let(name, _, value):
-                flows = [learned(flow, stmt.TempPlace(name), value) for flow in flows]
+                flows = [after_assignment(flow, stmt.TempPlace(name), value) for flow in flows]
             case stmt.If(condition, then, orelse):
                 held = [(flow, formula(condition, flow)) for flow in flows]
-                yes = _follow(then, [flow.knowing(known) for flow, known in held], ways)
-                no = _follow(orelse, [flow.knowing(linear.negate(known)) for flow, known in held], ways)
+                yes = _paths_through(then, [flow.assuming(known) for flow, known in held], paths)
+                no = _paths_through(orelse, [flow.assuming(linear.negate(known)) for flow, known in held], paths)
                 flows = yes + no
             case stmt.For() | stmt.While():
-                flows = [_around(statement, flow) for flow in flows]
+                flows = [_after_inner_loop(statement, flow) for flow in flows]
             case stmt.Break():
-                ways.broken += flows
+                paths.broken += flows
                 return []
             case stmt.Continue():
-                ways.turned += flows
+                paths.turned += flows
                 return []
             case stmt.Return() | stmt.Stop():
                 return []
@@ -150,12 +152,12 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
                 pass
             case _:
                 assert_never(statement)
-        if len(flows) + len(ways.turned) + len(ways.broken) > MOST_WAYS:
-            raise _TooMany
+        if len(flows) + len(paths.turned) + len(paths.broken) > MOST_PATHS:
+            raise _TooManyPaths
     return flows
 
 
-def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
+def _after_inner_loop(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
     """Return the facts after a nested loop: facts about variables that it may write are dropped."""
     changed = {name for name, _ in writes(loop.block)}
     sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
@@ -181,7 +183,7 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
 # Candidates
 
 
-def written_down(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
+def declared_candidates(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
     """Return the program's loop invariants as candidates, one for each condition that `and` joins."""
     return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
 
@@ -197,12 +199,12 @@ def _holds(node: ir.Expr) -> Candidate:
     return lambda flow: formula(node, flow)
 
 
-def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
+def guessed_bounds(turns: LoopModel, condition: ir.Expr | None) -> list[Candidate]:
     """Return guessed bounds of the ints that a loop writes.
 
     Bounds are their initial values, the condition of `while`, and the loop's variable.
     """
-    reads = dict.fromkeys(_counted(turns.block))
+    reads = dict.fromkeys(_assigned_ints(turns.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
         begin = turns.before.value(variable_of(read) or "")
@@ -227,7 +229,7 @@ def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
     return found
 
 
-def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
+def _assigned_ints(block: stmt.Block) -> Iterator[ir.Expr]:
     """Yield a read of each int variable that a block assigns."""
     for statement in statements(block):
         match statement:
@@ -241,7 +243,7 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
                 pass
 
 
-def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
+def _known(read: ir.Expr, turns: LoopModel) -> Iterator[Candidate]:
     """Yield the comparisons of a variable that are known before the loop."""
     name = variable_of(read)
     for fact in turns.before.facts:
@@ -257,14 +259,14 @@ def _compared(read: ir.Expr, name: str, known: Linear) -> Candidate:
 
 
 def _at_least(read: ir.Expr, bound: Linear) -> Candidate:
-    return lambda flow: linear.at_least(_term(read, flow), _now(bound, flow))
+    return lambda flow: linear.at_least(_term(read, flow), _bound_at(bound, flow))
 
 
 def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
-    return lambda flow: linear.at_least(_now(bound, flow), _term(read, flow))
+    return lambda flow: linear.at_least(_bound_at(bound, flow), _term(read, flow))
 
 
-def _now(bound: Linear, flow: Flow) -> Linear:
+def _bound_at(bound: Linear, flow: Flow) -> Linear:
     """Return a bound at a point, with each variable replaced by its value if that is known there."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
@@ -279,7 +281,7 @@ def _term(read: ir.Expr, flow: Flow) -> Linear:
     return found
 
 
-def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns) -> list[Candidate]:
+def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: LoopModel) -> list[Candidate]:
     """Return the candidate sign * read <= sign * bound + beyond.
 
     If the variable may begin outside of this bound, the candidate also allows values up to its initial value.
@@ -295,7 +297,7 @@ def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns)
     begin = turns.before.value(variable_of(read) or "")
     if not isinstance(begin, Linear) or not independent(begin, turns.changed, turns.sized):
         return [within]
-    if _shown(within, turns.before):
+    if _proved(within, turns.before):
         return [within]
     least = _at_most(read, begin) if sign > 0 else _at_least(read, begin)
 

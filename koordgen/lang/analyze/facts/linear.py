@@ -33,7 +33,7 @@ class Remainder(Node):
     divisor: Linear
 
 
-class Choice(Node):
+class ConditionalTerm(Node):
     """Term: `then if condition else orelse`."""
 
     condition: Formula
@@ -57,7 +57,7 @@ class Value(Node):
 
 
 # A plain variable is a str: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
-Var = str | Quotient | Remainder | Choice | Length | Value
+Var = str | Quotient | Remainder | ConditionalTerm | Length | Value
 
 
 class AtLeastZero(Node):
@@ -66,7 +66,7 @@ class AtLeastZero(Node):
     linear: Linear
 
 
-class Fact(Node):
+class BoolFact(Node):
     """Condition that is not arithmetic, identified by any hashable key."""
 
     key: object
@@ -85,13 +85,13 @@ class Or(Node):
     parts: tuple[Formula, ...]
 
 
-class Unknown(Node):
+class UnknownCondition(Node):
     """Condition of which nothing is known. Its negation is unknown, too."""
 
 
-Formula = AtLeastZero | Fact | And | Or | Unknown
+Formula = AtLeastZero | BoolFact | And | Or | UnknownCondition
 
-TRUE, FALSE, UNKNOWN = And(()), Or(()), Unknown()
+TRUE, FALSE, UNKNOWN = And(()), Or(()), UnknownCondition()
 PID, N_SYS = "pid", "N_SYS"
 
 
@@ -156,13 +156,13 @@ def negate(formula: Formula) -> Formula:
     match formula:
         case AtLeastZero(linear):
             return AtLeastZero(combine(constant(-1), linear, -1))
-        case Fact(key, holds):
-            return Fact(key, not holds)
+        case BoolFact(key, holds):
+            return BoolFact(key, not holds)
         case And(parts):
             return Or(tuple(negate(p) for p in parts))
         case Or(parts):
             return And(tuple(negate(p) for p in parts))
-        case Unknown():
+        case UnknownCondition():
             return formula
         case _:
             assert_never(formula)
@@ -179,7 +179,7 @@ def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
     return total
 
 
-def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mapping[str, int]) -> int | None:
+def _derived(var: Quotient | Remainder | ConditionalTerm | Length | Value, values: Mapping[str, int]) -> int | None:
     match var:
         case Length() | Value():
             return None
@@ -189,7 +189,7 @@ def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mappin
         case Remainder(operand, modulus):
             dividend, by = value_of(operand, values), value_of(modulus, values)
             return None if dividend is None or not by else dividend % by
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             held = truth(condition, values)
             return None if held is None else value_of(then if held else orelse, values)
         case _:
@@ -202,7 +202,7 @@ def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
         case AtLeastZero(linear):
             value = value_of(linear, values)
             return None if value is None else value >= 0
-        case Fact() | Unknown():
+        case BoolFact() | UnknownCondition():
             return None
         case And(parts):
             found = {truth(p, values) for p in parts}
@@ -222,7 +222,7 @@ def variables(item: Formula | Linear | Var) -> Iterator[object]:
                 yield from variables(var)
         case AtLeastZero(linear):
             yield from variables(linear)
-        case Fact(key):
+        case BoolFact(key):
             yield key
         case Length(of) | Value(of):
             yield of
@@ -234,13 +234,13 @@ def variables(item: Formula | Linear | Var) -> Iterator[object]:
         case Remainder(operand, divisor):
             yield from variables(operand)
             yield from variables(divisor)
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             yield from variables(condition)
             yield from variables(then)
             yield from variables(orelse)
         case str():
             yield item
-        case Unknown():
+        case UnknownCondition():
             pass
         case _:
             assert_never(item)
@@ -268,7 +268,7 @@ def _name(var: Var) -> str:
             return f"({show(operand)}) // {divisor}"
         case Remainder(operand, modulus):
             return f"({show(operand)}) % ({show(modulus)})"
-        case Choice() | Value():
+        case ConditionalTerm() | Value():
             return "(...)"
         case Length(of):
             return f"len({of.rpartition(' ')[2] if isinstance(of, str) else '...'})"

@@ -12,7 +12,7 @@ from typing import Any
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.linear import Formula
-from koordgen.lang.analyze.facts.terms import Flow, formula, learned
+from koordgen.lang.analyze.facts.terms import Flow, after_assignment, formula
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 
@@ -31,11 +31,11 @@ class Path:
     def flow(self) -> Flow:
         """Facts known at this point."""
         if self._flow is None:
-            self._work_out()
+            self._compute()
         assert self._flow is not None
         return self._flow
 
-    def _work_out(self) -> None:
+    def _compute(self) -> None:
         """Compute the facts of this point.
 
         Iterative, because an event may be longer than Python's stack allows.
@@ -53,15 +53,15 @@ class Path:
 
     def passing(self, condition: Condition) -> Path:
         """Return the point after this one where a condition, evaluated here, holds."""
-        return Path((self,), lambda flow: flow.knowing(condition.formula))
+        return Path((self,), lambda flow: flow.assuming(condition.formula))
 
     def failing(self, condition: Condition) -> Path:
         """Return the point after this one where a condition, evaluated here, does not hold."""
-        return Path((self,), lambda flow: flow.knowing(linear.negate(condition.formula)))
+        return Path((self,), lambda flow: flow.assuming(linear.negate(condition.formula)))
 
     def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
         """Return the point after `place = value`."""
-        return Path((self,), lambda flow: learned(flow, place, value))
+        return Path((self,), lambda flow: after_assignment(flow, place, value))
 
 
 class Condition:
@@ -112,16 +112,16 @@ def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
     exist, and names each variable once. False means that the condition must be analysed.
     """
     names: list[str] = []
-    return _free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
+    return _is_free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
 
 
-def _free(node: ir.Expr, names: list[str]) -> bool:
+def _is_free(node: ir.Expr, names: list[str]) -> bool:
     """Return whether a condition has the form that `is_open` describes. Adds its variables to `names`."""
     kind = type(node)
     if kind is ir.Logic:
-        return _free(node.left, names) and _free(node.right, names)  # type: ignore[union-attr]
+        return _is_free(node.left, names) and _is_free(node.right, names)  # type: ignore[union-attr]
     if kind is ir.Unary:
-        return _free(node.operand, names)  # type: ignore[union-attr]
+        return _is_free(node.operand, names)  # type: ignore[union-attr]
     if kind is ir.Compare:
         left, right = node.left, node.right  # type: ignore[union-attr]
         if type(left) is ir.Pid and type(right) is ir.Const:

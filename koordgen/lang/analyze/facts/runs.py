@@ -32,14 +32,14 @@ class Loop(NamedTuple):
     block: stmt.Block
 
 
-class Runs(NamedTuple):
+class CertainIterations(NamedTuple):
     """Iterations of a loop: values of its variable, and facts before the loop if it has an iteration."""
 
     values: tuple[Linear, ...]
     flow: Flow
 
 
-def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
+def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> CertainIterations | None:
     """Return the last and the first iteration if every iteration evaluates the expression at `span`.
 
     None if one may skip it, or if `terms` may depend on variables that earlier iterations changed.
@@ -53,7 +53,7 @@ def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
     ):
         return None
     first, last, some = ends
-    return Runs((first,) if last is None else (last, first), loop.before.knowing(some))
+    return CertainIterations((first,) if last is None else (last, first), loop.before.assuming(some))
 
 
 def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
@@ -75,7 +75,7 @@ def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
             return None
 
 
-_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.Unread)
+_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.UnparsedStmt)
 
 
 def _may_skip(node: Node, loop: Loop) -> bool:
@@ -96,7 +96,7 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
                 parts = (condition,)
             case stmt.For(values=values):
                 parts = (values,)
-            case stmt.Emit(items=items) | draft.Wrong(items):
+            case stmt.Emit(items=items) | draft.WrongStmt(items):
                 parts = items
             case _:
                 continue

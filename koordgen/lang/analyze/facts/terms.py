@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.flow import Flow, independent, names_of, variable_of
-from koordgen.lang.analyze.facts.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
+from koordgen.lang.analyze.facts.linear import FALSE, TRUE, UNKNOWN, BoolFact, Formula, Length, Linear, Value
 from koordgen.lang.analyze.facts.number import number_of
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
@@ -15,9 +15,9 @@ from koordgen.lang.ir.types import BOOL, FLOAT, INT, MapOf, PerRobot, Sequence, 
 
 __all__ = [
     "Flow",
+    "after_assignment",
     "formula",
     "known_value",
-    "learned",
     "length",
     "names_of",
     "nonzero",
@@ -87,7 +87,7 @@ def _constant(value: object) -> Linear | None:
 
 
 def _choice(condition: Formula, then: Linear | None, orelse: Linear | None) -> Linear | None:
-    return None if then is None or orelse is None else linear.variable(linear.Choice(condition, then, orelse))
+    return None if then is None or orelse is None else linear.variable(linear.ConditionalTerm(condition, then, orelse))
 
 
 def _arithmetic(node: ir.Binary, flow: Flow) -> Linear | None:
@@ -170,7 +170,7 @@ def formula(node: ir.Expr, flow: Flow) -> Formula:
         name = variable_of(node)
         assert name is not None
         known = flow.value(name)
-        return Fact(name, True) if known is None or isinstance(known, Linear) else known
+        return BoolFact(name, True) if known is None or isinstance(known, Linear) else known
     match node:
         case ir.Logic(op, left, right):
             parts = (formula(left, flow), formula(right, flow))
@@ -187,9 +187,9 @@ def formula(node: ir.Expr, flow: Flow) -> Formula:
             return linear.Or((yes, linear.And((linear.negate(held), formula(orelse, flow)))))
         case ir.SlotRead(name, ir.Pid()):
             known = flow.value(f"slot {name}")
-            return Fact(node, True) if known is None or isinstance(known, Linear) else known
+            return BoolFact(node, True) if known is None or isinstance(known, Linear) else known
         case _:
-            return Fact(node, True) if kind in _PARTS and pure(node) else UNKNOWN
+            return BoolFact(node, True) if kind in _PARTS and pure(node) else UNKNOWN
 
 
 def _comparison(op: str, left: ir.Expr, right: ir.Expr, flow: Flow) -> Formula:
@@ -235,12 +235,14 @@ def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
     number = number_of(bound)
     if number is None:
         # A param: the conclusion depends on its value.
-        told = linear.Or((Fact(value, True), Fact((op, bound), False))) if type(bound) is ir.ParamRead else UNKNOWN
-        return linear.And((UNKNOWN, told))
+        implied = (
+            linear.Or((BoolFact(value, True), BoolFact((op, bound), False))) if type(bound) is ir.ParamRead else UNKNOWN
+        )
+        return linear.And((UNKNOWN, implied))
     if op == "==" and number == 0:
-        return Fact(value, False)
+        return BoolFact(value, False)
     # The comparison implies that the value is not zero, but not the reverse; UNKNOWN keeps the negation unknown.
-    return linear.And((UNKNOWN, Fact(value, True))) if excludes_zero(op, number) else UNKNOWN
+    return linear.And((UNKNOWN, BoolFact(value, True))) if excludes_zero(op, number) else UNKNOWN
 
 
 def excludes_zero(op: str, number: float) -> bool:
@@ -256,7 +258,7 @@ def nonzero(node: ir.Expr, flow: Flow) -> Formula:
     number = number_of(node)
     if number is not None:
         return TRUE if number else FALSE
-    return Fact(node, True) if pure(node) else UNKNOWN
+    return BoolFact(node, True) if pure(node) else UNKNOWN
 
 
 def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
@@ -269,7 +271,7 @@ def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
     return None
 
 
-def learned(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
+def after_assignment(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
     """Return the facts after `place = node`."""
     name = variable_of(place)
     assert name is not None

@@ -9,11 +9,11 @@ from koordgen.lang.analyze.facts.linear import Formula
 from koordgen.lang.analyze.facts.path import Condition, Path, known
 from koordgen.lang.analyze.facts.runs import Loop
 from koordgen.lang.analyze.facts.terms import Flow, term
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir.decl import Param
 from koordgen.lang.ir.draft import Section
 from koordgen.lang.ir.types import INT
 from koordgen.lang.node import Node
+from koordgen.lang.reporter import Reporter
 from koordgen.lang.source import Source
 
 
@@ -27,11 +27,11 @@ class Site(Node):
     bad: Formula
 
 
-# Attributes that belong to the whole program: `back` does not restore them.
+# Attributes that belong to the whole program: `restore` does not restore them.
 _LASTING = frozenset(("source", "found", "params", "defaults"))
 
 
-class Mark(NamedTuple):
+class SavedState(NamedTuple):
     """Saved state of an Analysis: the number of diagnostics, and the attributes of the current section."""
 
     found: int
@@ -42,7 +42,7 @@ def _copied(value: Any) -> Any:
     return value.copy() if isinstance(value, (list, dict, set)) else value
 
 
-class Analysis(Findings):
+class Analysis(Reporter):
     """Mutable state of the analysis of a program. `enter` resets the part that belongs to one section."""
 
     def __init__(self, source: Source, params: Iterable[Param]) -> None:
@@ -79,12 +79,12 @@ class Analysis(Findings):
     def flow(self, flow: Flow | None) -> None:
         self.path = None if flow is None else known(flow)
 
-    def mark(self) -> Mark:
-        """Save the current state, for `back`."""
+    def mark(self) -> SavedState:
+        """Save the current state, for `restore`."""
         kept = {name: _copied(value) for name, value in vars(self).items() if name not in _LASTING}
-        return Mark(len(self.found), kept)
+        return SavedState(len(self.found), kept)
 
-    def back(self, mark: Mark) -> None:
+    def restore(self, mark: SavedState) -> None:
         """Restore a saved state; diagnostics since then are dropped."""
         del self.found[mark.found :]
         vars(self).update({name: _copied(value) for name, value in mark.kept.items()})

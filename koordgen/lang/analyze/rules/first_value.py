@@ -21,7 +21,7 @@ _EXISTS = "write a value that exists: a first value is evaluated before the robo
 _FITS = "robots keep ints of 64 bits, floats up to about 1.8e308, and what the declared capacities hold"
 
 
-class Flaw(NamedTuple):
+class InitialValueFlaw(NamedTuple):
     """Reason why robots cannot store an initial value.
 
     `span` is the part that has no value, or None if all parts have one. `reason` completes a sentence about that part,
@@ -33,7 +33,7 @@ class Flaw(NamedTuple):
     help: str
 
 
-def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
+def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
     """Report an initial value that does not exist, or that robots cannot store."""
     wrong = flaw_of(value, type_, {name: param.default for name, param in a.params.items()})
     if wrong is not None:
@@ -41,38 +41,38 @@ def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> No
         a.error("K057", f"{what} {wrong.reason}", wrong.span or value.span, wrong.help)
 
 
-def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:
+def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     """Return why an initial value of this type is wrong.
 
     None if it is right or has an error that is already reported.
 
     `params` has the values of params.
     """
-    if _plain(value):
+    if _is_literal(value):
         return None
     read = {part.name: params[part.name] for part in walk(value) if isinstance(part, ir.ParamRead)}
     if any(isinstance(part, ir.Expr) and part.type is POISON for part in walk((value, *read.values()))):
         return None
     infinite = too_large(value, params)
     if infinite is not None:
-        return Flaw(infinite.span, "is too large for a float", RANGE)
+        return InitialValueFlaw(infinite.span, "is too large for a float", RANGE)
     return _evaluated(value, type_, read)
 
 
-def _plain(value: ir.Expr) -> bool:
+def _is_literal(value: ir.Expr) -> bool:
     """Return whether an initial value consists of literals only, which the parser has checked."""
     match value:
         case ir.Const():
             return True
         case ir.Widen(part) | ir.Unary("-", part):
-            return _plain(part)
+            return _is_literal(part)
         case ir.Make(parts) | ir.Builtin("Point" | "Pose", parts):
-            return all(map(_plain, parts))
+            return all(map(_is_literal, parts))
         case _:
             return False
 
 
-def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:
+def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     from koordgen.lang.semantics.eval import Discarded, evaluate, view_of
     from koordgen.lang.semantics.exec import Budget
     from koordgen.lang.semantics.values import Value, flaw
@@ -85,5 +85,5 @@ def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Fl
         view = view._replace(params={name: evaluate(default, view) for name, default in params.items()})
         wrong = flaw(evaluate(value, view), type_)
     except Discarded as discarded:
-        return Flaw(discarded.span, f"has no value: {discarded.reason}", _EXISTS)
-    return Flaw(None, f"would be {wrong}", _FITS) if wrong else None
+        return InitialValueFlaw(discarded.span, f"has no value: {discarded.reason}", _EXISTS)
+    return InitialValueFlaw(None, f"would be {wrong}", _FITS) if wrong else None

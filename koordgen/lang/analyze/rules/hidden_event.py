@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 from koordgen.lang.analyze.facts.path import Condition
 from koordgen.lang.diagnostics import Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl
+from koordgen.lang.reporter import Reporter
 
 
-class Judged(NamedTuple):
+class AnalysedEvent(NamedTuple):
     """An analysed event.
 
     `guard` is None if it has an error. `conditions` has the texts of the conditions that the guard joins by `and`.
@@ -25,7 +25,9 @@ class Judged(NamedTuple):
     always: bool
 
 
-def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judged], findings: Findings) -> bool:
+def is_hidden(
+    event: decl.Event, hiding: Sequence[AnalysedEvent], first: Sequence[AnalysedEvent], reporter: Reporter
+) -> bool:
     """Warn of an event that events in `hiding` hide: its guard holds only if theirs hold.
 
     `first` has the events with priority over it. Returns whether it was reported.
@@ -33,7 +35,7 @@ def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judge
     ahead = [other for other in hiding if any(other is earlier for earlier in first)]
     if not hiding:
         return False
-    other = min(ahead or hiding, key=lambda judged: judged.event.span.line)  # name the first one in the text
+    other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # name the first one in the text
     name, earlier = event.name, other.event.name
     label = Label(other.event.span, f"stands before, and {'is always enabled' if other.always else 'asks for no more'}")
     why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, {earlier}'s does"
@@ -51,5 +53,5 @@ def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judge
                 "the language allows it, because a transaction sees what other robots have committed since the round's "
                 "start; change a guard"
             )
-    findings.warn("K042", message, event.span, help, (label,))
+    reporter.warn("K042", message, event.span, help, (label,))
     return True

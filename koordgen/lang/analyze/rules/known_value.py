@@ -13,28 +13,28 @@ _TAKES = {"sqrt": "numbers from 0 up", "log": "numbers above 0", "asin": "number
 _TAKES["acos"] = _TAKES["asin"]
 
 
-def judge_power(value: ir.Binary, a: Analysis) -> None:
+def check_power(value: ir.Binary, a: Analysis) -> None:
     """Report an int with a negative exponent, and a power of floats without a value."""
     if value.type is INT:
-        _judge_exponent(value.right, value.span, a)
+        _check_exponent(value.right, value.span, a)
         return
     base = number_of(value.left)
-    _judge(value, "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only", a)
+    _check_value(value, "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only", a)
 
 
-def _judge_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
+def _check_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
     value = term(exponent, a.flow) if a.flow is not None else None
     if value is not None and not value.terms and value.constant < 0:
         help = "with a float on one side it is a float: 2.0 ** -1"
         a.error("K012", f"an int to the power of {value.constant} is no int", span, help)
 
 
-def judge_function(value: ir.Builtin, a: Analysis) -> None:
+def check_function(value: ir.Builtin, a: Analysis) -> None:
     """Report a function of a constant for which it has no value."""
-    _judge(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
+    _check_value(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
 
 
-def _judge(value: ir.Builtin | ir.Binary, help: str, a: Analysis) -> None:
+def _check_value(value: ir.Builtin | ir.Binary, help: str, a: Analysis) -> None:
     if a.path is None or a.poisoned:
         return
     span = value.span

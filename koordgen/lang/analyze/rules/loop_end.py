@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 from koordgen.lang.analyze.facts.flow import variable_of
 from koordgen.lang.analyze.facts.induction import conjuncts, writes
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import statements, walk
 from koordgen.lang.ir.types import POISON
+from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
@@ -25,14 +25,14 @@ class _Wrong(Exception):
     """A path that moves the number in the wrong direction, or that continues without moving it."""
 
 
-def judge_end(node: stmt.While, findings: Findings) -> None:
+def check_end(node: stmt.While, reporter: Reporter) -> None:
     """Warn of a loop that is not proved to end, unless it contains an error."""
     if not _ends(node) and not any(_is_wrong(part) for part in walk(node)):
-        findings.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
+        reporter.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
 
 
 def _is_wrong(part: object) -> bool:
-    return isinstance(part, draft.Unread) or getattr(part, "type", None) is POISON
+    return isinstance(part, draft.UnparsedStmt) or getattr(part, "type", None) is POISON
 
 
 def _ends(node: stmt.While) -> bool:

@@ -10,7 +10,7 @@ from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.source import Span
 
 
-def judge_write(name: str, span: Span, a: Analysis) -> None:
+def check_write(name: str, span: Span, a: Analysis) -> None:
     """Report a write to an allwrite variable that the event has read.
 
     No update can be lost under `atomic`, or if only one robot can reach this point in a round.
@@ -52,13 +52,13 @@ def _renamed(item: linear.Formula) -> linear.Formula:
     match item:
         case linear.AtLeastZero(term):
             return linear.AtLeastZero(_term(term))
-        case linear.Fact(key, holds):
-            return linear.Fact(_key(key), holds)
+        case linear.BoolFact(key, holds):
+            return linear.BoolFact(_key(key), holds)
         case linear.And(parts):
             return linear.And(tuple([_renamed(part) for part in parts]))
         case linear.Or(parts):
             return linear.Or(tuple([_renamed(part) for part in parts]))
-        case linear.Unknown():
+        case linear.UnknownCondition():
             return item
         case _:
             assert_never(item)
@@ -84,8 +84,8 @@ def _variable(var: linear.Var) -> linear.Var:
             return linear.Quotient(_term(operand), divisor)
         case linear.Remainder(operand, divisor):
             return linear.Remainder(_term(operand), _term(divisor))
-        case linear.Choice(condition, then, orelse):
-            return linear.Choice(_renamed(condition), _term(then), _term(orelse))
+        case linear.ConditionalTerm(condition, then, orelse):
+            return linear.ConditionalTerm(_renamed(condition), _term(then), _term(orelse))
         case linear.Length(of):
             return linear.Length(_key(of))
         case linear.Value(of):

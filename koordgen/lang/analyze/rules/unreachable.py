@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import unsat
-from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula
+from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, AtLeastZero, BoolFact, Formula
 from koordgen.lang.analyze.facts.terms import Flow, names_of
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.ir import expr as ir
@@ -20,7 +20,7 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
     if not facts and PID not in names and N_SYS not in names:
         # Without facts about its names, a condition is impossible only if it contradicts itself; one comparison cannot.
         match condition:
-            case Fact():
+            case BoolFact():
                 return False
             case AtLeastZero(value) if value.terms:
                 return False
@@ -31,18 +31,18 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
     return unsat((*facts, condition))
 
 
-def judge_statement(span: Span, a: Analysis) -> None:
+def check_statement(span: Span, a: Analysis) -> None:
     """Warn of the first statement that no path reaches."""
     a.warn("K043", "this statement can never run: every way to it has stopped or left", span)
 
 
-def judge_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
+def check_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
     """Warn of a branch whose condition contradicts the facts before it."""
     if _is_impossible(passed, before):
         a.warn("K043", f"this branch can never run: {a.text(condition.span)} never holds here", span)
 
 
-def judge_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
+def check_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
     """Warn of a `while` whose condition is always false when the loop begins."""
     if not a.poisoned and _is_impossible(first, before):
         a.warn("K043", f"this loop can never run: {a.text(condition.span)} does not hold here", span)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Many
 
-from koordgen.lang.check.base import a, argument, check_expr, fitting, is_poisoned, same, widened
+from koordgen.lang.check.base import argument, check_expr, converted, is_poisoned, same_type, widened, with_article
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.lang.check.expressions.dialect import old_call
@@ -67,12 +67,12 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return c.error("K017", "this is not a function", function.span, "", (), called, *args)
     name = function.name
     if c.temp(name) is not None:
-        return _no_function(node, function, c)
+        return _not_a_function(node, function, c)
     owner = assumed_port(name, c) if c.place == "assume" else None
     if owner is not None:
         return _port_call(node, owner, ast.Attribute(function, name, function.span, function.span), c)
     if name in c.entities:
-        return _own(node, function, c)
+        return _declared_call(node, function, c)
     if name in FUNCTIONS:
         return _builtin(name, node, c)
     if name == "old":
@@ -81,10 +81,10 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         modern = old_call(node, function, c)
         if modern is not None:
             return check_expr(modern, c, wanted)
-    return _no_function(node, function, c)
+    return _not_a_function(node, function, c)
 
 
-def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     entity = c.entities[function.name]
     match entity:
         case None:
@@ -94,7 +94,7 @@ def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
             return _function(entity, node, function, c)
         case _:
-            return _no_function(node, function, c)
+            return _not_a_function(node, function, c)
 
 
 def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
@@ -112,7 +112,7 @@ def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
     return tuple(checked)
 
 
-def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
     args = skip(node, c)
     if name == "range":
@@ -129,7 +129,9 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
         return c.error("K017", f"{name} is an event and is not called", function.span, help, (), *args)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
-    help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
+    help = c.suggestion(
+        name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"}
+    )
     taken = "..." if node.args else ""
     define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
     return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
@@ -138,7 +140,7 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 # Arguments
 
 
-def positional(
+def positional_arguments(
     node: ast.Call, name: str, count: Many[int], takes: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
     """Return the unchecked arguments of a call that takes no names.
@@ -159,7 +161,7 @@ def positional(
     return node.args  # type: ignore[return-value]
 
 
-def _handed(
+def _converted_arguments(
     nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
     """Check arguments against the types of the parameters and return them; wrong ones become poison."""
@@ -168,11 +170,11 @@ def _handed(
         value = check_expr(node, c, type_)
         before = len(c.found)
         args.append(argument(value, type_, f"an argument of {name}", c))
-        _explain(before, takes, c)
+        _add_help(before, takes, c)
     return tuple(args)
 
 
-def _explain(before: int, takes: str, c: Context) -> None:
+def _add_help(before: int, takes: str, c: Context) -> None:
     """Add `takes` as the help of all diagnostics since number `before` that have no help."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
@@ -185,7 +187,7 @@ def _explain(before: int, takes: str, c: Context) -> None:
 def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
     takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
-    nodes = positional(node, name, (len(signatures[0].args),), takes, c)
+    nodes = positional_arguments(node, name, (len(signatures[0].args),), takes, c)
     if not isinstance(nodes, tuple):
         return nodes
     if len(signatures) == 1:
@@ -197,10 +199,10 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
         bound: Bound = {}
         value = bind(signature.args[0], arg, bound)
         if value is not None:
-            result = filled(signature.result, bound)
+            result = substituted(signature.result, bound)
             assert result is not None
             return ir.Builtin(name, (value,), result, node.span)
-    return c.error("K012", f"{name} does not apply to {a(arg.type)}", arg.span, takes, (), arg)
+    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, takes, (), arg)
 
 
 _TAKES = {
@@ -228,21 +230,21 @@ def _applied(
         args.append(bind(patterns[0], first, bound) or first)
         patterns = patterns[1:]
     for pattern, node in zip(patterns, nodes, strict=True):
-        value = check_expr(node, c, filled(pattern, bound))
+        value = check_expr(node, c, substituted(pattern, bound))
         taken = value if value.type is POISON else bind(pattern, value, bound)
         args.append(value if taken is None else taken)
         poisoned = poisoned or taken is None or taken.type is POISON
         if taken is None:
             before = len(c.found)
-            wanted = filled(pattern, bound)
+            wanted = substituted(pattern, bound)
             if wanted is None:
-                c.error("K012", f"{name} does not apply to {a(value.type)}", value.span, takes)
+                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, takes)
             else:
-                fitting(value, wanted, f"an argument of {name}", c)
-            _explain(before, takes, c)
+                converted(value, wanted, f"an argument of {name}", c)
+            _add_help(before, takes, c)
     if poisoned:
         return c.poison(span, *args)
-    result = filled(signature.result, bound)
+    result = substituted(signature.result, bound)
     assert result is not None
     if bound.get("N") is FLOAT:
         args = [widened(arg, FLOAT) for arg in args]
@@ -261,7 +263,7 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     word = "List" if isinstance(type_, PerRobot) else word_of(type_)
     signature = METHODS.get((word, name))
     if signature is not None:
-        nodes = positional(node, name, (len(signature.args) - 1,), "", c)
+        nodes = positional_arguments(node, name, (len(signature.args) - 1,), "", c)
         takes = f"{name} takes {shown(signature, 1)}"
         if not isinstance(nodes, tuple):
             return c.poison(node.span, operand, nodes)
@@ -299,10 +301,10 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
         help = f"write {name}({text}, ...)" if len(FUNCTIONS[name][0].args) > 1 else f"write {name}({text})"
     else:
         methods = methods_of(type_)
-        help = c.nearest(name, methods) or (f"{a(type_)} has {', '.join(methods)}" if methods else "")
+        help = c.suggestion(name, methods) or (f"{with_article(type_)} has {', '.join(methods)}" if methods else "")
         if word == "string":
             help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
-    c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
+    c.error("K015", f"{with_article(type_)} has no method {name}", function.name_span, help)
 
 
 # Functions, ports and records that the program declares
@@ -314,8 +316,8 @@ def _function(
     name, span = entity.name, node.span
     types = [parameter.type for parameter in entity.parameters]
     takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional(node, name, (len(types),), takes, c)
-    args = _handed(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
+    nodes = positional_arguments(node, name, (len(types),), takes, c)
+    args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
         return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
     if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
@@ -338,16 +340,18 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         return c.poison(node.span, *skip(node, c))
     if port.type is not PLANNER:
         skipped = skip(node, c)
-        return c.error("K017", f"{name} is {a(port.type)} and is not called", function.span, "", (), *skipped)
+        return c.error(
+            "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
+        )
     takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
-    nodes = positional(node, name, (1, 2), takes, c)
+    nodes = positional_arguments(node, name, (1, 2), takes, c)
     if not isinstance(nodes, tuple):
         return nodes
-    goal = fitting(check_expr(nodes[0], c), POINT, "the goal", c)
+    goal = converted(check_expr(nodes[0], c), POINT, "the goal", c)
     args = [goal]
     if len(nodes) == 2:
         obstacles = check_expr(nodes[1], c, _OBSTACLES[0])
-        if not any(same(obstacles.type, type_) for type_ in _OBSTACLES):
+        if not any(same_type(obstacles.type, type_) for type_ in _OBSTACLES):
             obstacles = argument(obstacles, _OBSTACLES[1], "what is to be avoided", c)
         args.append(obstacles)
     if c.place == "assume" and module.name != c.module:
@@ -410,9 +414,11 @@ def _field(
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
-        c.error("K015", f"{record} has no field {name}", span, c.nearest(name, [n for n, _ in type_.fields]) or takes)
+        c.error(
+            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or takes
+        )
         return False
-    checked = fitting(check_expr(value, c, field), field, f"{record}.{name}", c)
+    checked = converted(check_expr(value, c, field), field, f"{record}.{name}", c)
     if name in given:
         c.error("K014", f"{record}.{name} is given twice", span)
         return False
@@ -450,7 +456,7 @@ def _agree(pattern: Type, type_: Type, bound: Bound) -> bool:
     match pattern:
         case Scalar(name) if name in _VARIABLES:
             if name in bound:
-                return same(bound[name], type_)
+                return same_type(bound[name], type_)
             if not _admits(pattern, type_):
                 return False
             bound[name] = type_
@@ -462,7 +468,7 @@ def _agree(pattern: Type, type_: Type, bound: Bound) -> bool:
         case MapOf(key, value):
             return isinstance(type_, MapOf) and _agree(key, type_.key, bound) and _agree(value, type_.value, bound)
         case _:
-            return same(pattern, type_)
+            return same_type(pattern, type_)
 
 
 def _admits(variable: Scalar, type_: Type) -> bool:
@@ -475,19 +481,19 @@ def _admits(variable: Scalar, type_: Type) -> bool:
     return variable is not K or is_key(type_)
 
 
-def filled(pattern: Type, bound: Bound) -> Type | None:
+def substituted(pattern: Type, bound: Bound) -> Type | None:
     """Return the pattern with its type variables replaced; None if one of them is not bound yet."""
     match pattern:
         case Scalar(name):
             return bound.get(name) if name in _VARIABLES else pattern
         case Sequence(word, element):
-            part = filled(element, bound)
+            part = substituted(element, bound)
             return None if part is None else pattern if part is element else Sequence(word, part, SHARED_ELEMENTS)
         case MapOf(key, value):
-            parts = filled(key, bound), filled(value, bound)
+            parts = substituted(key, bound), substituted(value, bound)
             return None if parts[0] is None or parts[1] is None else MapOf(parts[0], parts[1], SHARED_ELEMENTS)
         case TupleOf(items):
-            found = [filled(item, bound) for item in items]
+            found = [substituted(item, bound) for item in items]
             return None if None in found else TupleOf(tuple([f for f in found if f is not None]))
         case _:
             return pattern

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from koordgen.lang.check.base import (
-    a,
     argument,
     check_expr,
     condition,
-    fitting,
+    converted,
     is_display,
     is_poisoned,
     per_robot,
-    same,
+    same_type,
     widened,
+    with_article,
 )
 from koordgen.lang.check.context import Context, Temp
 from koordgen.lang.check.expressions.name import declared_port, module_named, shared_in_init
-from koordgen.lang.check.names import reserved
+from koordgen.lang.check.names import is_reserved
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.decl import Local, Module, Shared
@@ -93,7 +93,7 @@ def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.E
     items = []
     for item, part in zip(node.items, parts, strict=True):
         value = check_expr(item, c, part)
-        items.append(_whole(widened(value, part) if part is not None else value, c))
+        items.append(_single(widened(value, part) if part is not None else value, c))
     if is_poisoned(items):
         return c.poison(node.span, *items)
     return ir.Make(tuple(items), TupleOf(tuple([item.type for item in items])), node.span)
@@ -112,22 +112,24 @@ def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Contex
     Ints are widened if an item is a float. Wrong items become poison.
     """
     if type_ is not None:
-        return [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
+        return [converted(check_expr(node, c, type_), type_, what, c) for node in nodes]
     typed = next((node for node in nodes if not is_display(node)), nodes[0])
-    first = _whole(check_expr(typed, c), c)
-    checked = [first if node is typed else _whole(check_expr(node, c, first.type), c) for node in nodes]
+    first = _single(check_expr(typed, c), c)
+    checked = [first if node is typed else _single(check_expr(node, c, first.type), c) for node in nodes]
     if is_poisoned(checked):
         return checked
     common = FLOAT if first.type is INT and any(item.type is FLOAT for item in checked) else first.type
     checked = [widened(item, common) for item in checked]
     for item in checked:
-        if not same(item.type, common):
-            message = f"this is {a(item.type)}, and the first is {a(common)}: all must be of one type"
-            return [c.error("K012", message, item.span, "", (Label(first.span, f"{a(common)}"),), *checked)]
+        if not same_type(item.type, common):
+            message = (
+                f"this is {with_article(item.type)}, and the first is {with_article(common)}: all must be of one type"
+            )
+            return [c.error("K012", message, item.span, "", (Label(first.span, f"{with_article(common)}"),), *checked)]
     return checked
 
 
-def _whole(value: ir.Expr, c: Context) -> ir.Expr:
+def _single(value: ir.Expr, c: Context) -> ir.Expr:
     """Return a part of a composed value; report an allread variable without an index."""
     return per_robot(value, c) if isinstance(value.type, PerRobot) else value
 
@@ -136,13 +138,15 @@ def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | N
     if wanted is POISON:
         return c.poison(node.span)
     if wanted is not None:
-        return c.error("K012", f"{a(wanted)} is wanted here, not {text}", node.span)
+        return c.error("K012", f"{with_article(wanted)} is wanted here, not {text}", node.span)
     help = f"give it one: '{example} name = {text}'"
     return c.error("K051", f"nothing here tells the type of {text}", node.span, help)
 
 
 def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
-    return c.error("K052", f"{a(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these")
+    return c.error(
+        "K052", f"{with_article(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these"
+    )
 
 
 # Indices
@@ -170,7 +174,7 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
 
 def robot(node: ast.Expr, c: Context) -> ir.Expr:
     """Check the index of a robot in a property."""
-    return fitting(check_expr(node, c), INT, "an index", c)
+    return converted(check_expr(node, c), INT, "an index", c)
 
 
 def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
@@ -187,7 +191,7 @@ def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
 
 def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
     name = entity.name
-    index = fitting(check_expr(node.index, c), INT, "an index", c)
+    index = converted(check_expr(node.index, c), INT, "an index", c)
     if index.type is POISON or entity.type is POISON:
         return c.poison(node.span, index)
     match c.place:
@@ -207,7 +211,7 @@ def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir
         case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
             pass
         case MapOf(key, value):
-            index = fitting(index, key, "the key", c)
+            index = converted(index, key, "the key", c)
             if index.type is POISON:
                 return c.poison(node.span, operand, index)
             return ir.Builtin("map_at", (operand, index), value, node.span)
@@ -217,7 +221,7 @@ def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir
             type_ = STRING
         case other:
             return _no_index(operand, other, node, c)
-    index = fitting(index, INT, "an index", c)
+    index = converted(index, INT, "an index", c)
     return index if index.type is POISON else ir.At(operand, index, False, type_, node.span)
 
 
@@ -238,7 +242,7 @@ def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.
     named = isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead))
     if named and not isinstance(type_, Sequence):
         return c.error("K017", f"{text} is one value and takes no index", node.span, _part_help(text, type_))
-    return c.error("K017", f"{a(type_)} has no index", node.span, _part_help(text, type_))
+    return c.error("K017", f"{with_article(type_)} has no index", node.span, _part_help(text, type_))
 
 
 def _part_help(text: str, type_: Type) -> str:
@@ -249,13 +253,13 @@ def _part_help(text: str, type_: Type) -> str:
 
 def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.Expr:
     operand = check_expr(node.value, c)
-    ends = [fitting(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
+    ends = [converted(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
     parts = [operand, *(end for end in ends if end is not None)]
     if is_poisoned(parts):
         return c.poison(node.span, *parts)
     type_ = operand.type
     if not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
-        return c.error("K017", f"{a(type_)} has no slices", node.span, "", (), *parts)
+        return c.error("K017", f"{with_article(type_)} has no slices", node.span, "", (), *parts)
     return ir.Slice(operand, ends[0], ends[1], ends == [None, None], type_, node.span)
 
 
@@ -270,15 +274,17 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
         values = check_expr(second, c, list_of(item.type) if known else None)
     else:
         values = check_expr(second, c)
-        item = check_expr(first, c, _held(values.type))
+        item = check_expr(first, c, _element_type(values.type))
     if item.type is POISON or values.type is POISON:
         return c.poison(span, item, values)
-    held = _held(values.type)
+    held = _element_type(values.type)
     if held is None:
         help = "a distance says whether two points are near" if values.type is POINT else ""
-        return c.error("K012", f"'{op}' does not apply to {a(values.type)}", values.span, help, (), item, values)
+        return c.error(
+            "K012", f"'{op}' does not apply to {with_article(values.type)}", values.span, help, (), item, values
+        )
     if values.type == STRING or held is POINT or isinstance(values.type, MapOf):
-        what = f"what is looked for in {a(values.type)}"
+        what = f"what is looked for in {with_article(values.type)}"
     else:
         what = f"an element of this {values.type.name if isinstance(values.type, Sequence) else 'variable'}"
     item = argument(item, held, what, c)
@@ -288,7 +294,7 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
     return found if op == "in" else ir.Unary("not", found, BOOL, span)
 
 
-def _held(type_: Type) -> Type | None:
+def _element_type(type_: Type) -> Type | None:
     """Return the type of the elements of a value: `T` if `x in value` takes an x of type T.
 
     None if it has none.
@@ -311,7 +317,7 @@ def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
     if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
         return values
     help = f"write range({c.text(node.span)})" if values.type is INT else ""
-    return c.error("K012", f"{a(values.type)} has no elements to run over", node.span, help, (), values)
+    return c.error("K012", f"{with_article(values.type)} has no elements to run over", node.span, help, (), values)
 
 
 def elements(values: ir.Expr) -> Type:
@@ -327,7 +333,7 @@ def _range(node: ast.Call, c: Context) -> ir.Expr:
     if not 1 <= len(node.args) <= 3 or any(isinstance(arg, ast.Keyword) for arg in node.args):
         help = "range(stop), range(start, stop) or range(start, stop, step)"
         return c.error("K014", f"range takes 1 to 3 arguments, not {len(node.args)}", node.span, help)
-    args = [fitting(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
+    args = [converted(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
     if is_poisoned(args):
         return c.poison(node.span, *args)
     step = _step(args[2]) if len(args) == 3 else 1
@@ -374,7 +380,7 @@ def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
     temp = Temp(c.mint(name), type_, span)
     earlier, entity = c.temp(name), c.entities.get(name)
     unseen = bool(c.function) and isinstance(entity, (Local, Shared, Module))
-    if earlier is None and (unseen or name not in c.entities) and not reserved(name):
+    if earlier is None and (unseen or name not in c.entities) and not is_reserved(name):
         c.scopes[-1][name] = temp
         return temp
     first = earlier.span if earlier is not None else entity.span if entity is not None else None

@@ -5,17 +5,16 @@ from __future__ import annotations
 from koordgen.lang.check.base import (
     CHECKERS,
     NUMBERS,
-    a,
-    as_bool,
     check_expr,
     condition,
     default,
-    fitting,
     has_call,
+    help_for_bool,
     is_display,
     per_robot,
-    same,
+    same_type,
     widened,
+    with_article,
 )
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.call import check_call
@@ -36,7 +35,7 @@ from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POISON, STRING, PerR
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as ast
 
-__all__ = ["arithmetic", "check_expr", "condition", "default", "fitting", "widened"]
+__all__ = ["arithmetic", "check_expr", "condition", "default", "widened"]
 
 _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 
@@ -62,8 +61,8 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
         return ir.Unary(op, operand, type_, node.span)
     if isinstance(type_, PerRobot):
         return per_robot(operand, c)
-    help = as_bool(operand, c, "==") if op == "not" else ""
-    return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help, (), operand)
+    help = help_for_bool(operand, c, "==") if op == "not" else ""
+    return c.error("K012", f"'{op}' does not apply to {with_article(type_)}", node.span, help, (), operand)
 
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
@@ -118,7 +117,7 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
             return per_robot(side, c)
     help = ""
     if op == "+" and STRING in (left.type, right.type):
-        help = _joined(left, right, c)
+        help = _help_for_joined(left, right, c)
     elif op == "%" and left.type == STRING:
         help = "texts are joined: 'n is ' + str(n)"
     elif BOOL in (left.type, right.type):
@@ -129,14 +128,14 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
         help = "multiply their coordinates: p.x * q.x + p.y * q.y"
     elif op in ("+", "-") and POINT in (left.type, right.type):
         help = "to a Point a Point is added: p + Point(x, y, z)"
-    elif op == "+" and isinstance(left.type, Sequence) and same(left.type.element, right.type):
+    elif op == "+" and isinstance(left.type, Sequence) and same_type(left.type.element, right.type):
         verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
         help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
-    message = f"'{op}' does not apply to {a(left.type)} and {a(right.type)}"
+    message = f"'{op}' does not apply to {with_article(left.type)} and {with_article(right.type)}"
     return c.error("K012", message, span, help, (), left, right)
 
 
-def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+def _help_for_joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
     """Return the help for a string joined by `+` with a value that is not a string."""
     value = right if left.type == STRING else left
     if value.type in (*NUMBERS, BOOL, POINT):
@@ -203,22 +202,30 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
     for side in (left, right):
         if isinstance(side.type, PerRobot):
             return per_robot(side, c)
-    if not same(first, second):
-        message = f"{a(first)} and {a(second)} cannot be compared"
-        return c.error("K012", message, span, _alike(left, right, c), (), left, right)
+    if not same_type(first, second):
+        message = f"{with_article(first)} and {with_article(second)} cannot be compared"
+        return c.error("K012", message, span, _help_for_compared(left, right, c), (), left, right)
     if op not in ("==", "!=") and first != STRING:
         help = "compare their coordinates, or distances" if first is POINT else "only '==' and '!=' compare these"
-        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help, (), left, right)
+        return c.error(
+            "K012",
+            f"'{op}' does not apply to {with_article(first)} and {with_article(second)}",
+            span,
+            help,
+            (),
+            left,
+            right,
+        )
     return ir.Compare(op, left, right, BOOL, span)
 
 
-def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+def _help_for_compared(left: ir.Expr, right: ir.Expr, c: Context) -> str:
     """Return the help for two values that cannot be compared."""
     for value, other in ((left, right), (right, left)):
         if other.type == STRING and value.type in NUMBERS:
             return f"write str({c.text(value.span)})"
         if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
-            return as_bool(value, c).replace("compare it", "a bool of it is")
+            return help_for_bool(value, c).replace("compare it", "a bool of it is")
     return ""
 
 
@@ -231,8 +238,8 @@ def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
         return c.poison(node.span, value)
     for side in (left, right):
         if side.type is not BOOL:
-            message = f"'{op}' joins bools, not {a(side.type)}"
-            return c.error("K013", message, side.span, as_bool(side, c), (), value)
+            message = f"'{op}' joins bools, not {with_article(side.type)}"
+            return c.error("K013", message, side.span, help_for_bool(side, c), (), value)
     return value
 
 
@@ -250,8 +257,8 @@ def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.E
         return c.poison(node.span, value)
     if isinstance(then.type, PerRobot):
         return per_robot(then, c)
-    if not same(then.type, orelse.type):
-        message = f"this is {a(then.type)} or {a(orelse.type)}; both must be of one type"
+    if not same_type(then.type, orelse.type):
+        message = f"this is {with_article(then.type)} or {with_article(orelse.type)}; both must be of one type"
         return c.error("K012", message, node.span, "", (), value)
     return value
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator
 
-from koordgen.lang.check.base import a, check_expr
+from koordgen.lang.check.base import check_expr, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
 from koordgen.lang.check.expressions.dialect import VALUES, old_name
 from koordgen.lang.diagnostics import Label
@@ -113,7 +113,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
     entity = c.entities[name]
     match entity:
         case Local(type=type_):
-            return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
+            return reject_robot_state("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
         case None:
             return c.poison(span)
         case Param(type=type_):
@@ -132,7 +132,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
 
 def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
     if c.place != "property":
-        wrong = refused("the variable ", name, span, c)
+        wrong = reject_robot_state("the variable ", name, span, c)
         if wrong is not None:
             return wrong
     if c.place == "init":
@@ -147,7 +147,7 @@ def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
     return c.error("K023", f"init cannot read {name}: it is shared", span, help)
 
 
-def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
+def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
     """Report that the current section cannot read a robot's state; None if it can.
 
     `what` is "the port " or similar.
@@ -171,9 +171,9 @@ def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
 def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     name, span = node.name, node.span
     if name == "pid":
-        return (refused("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
+        return (reject_robot_state("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
-        wrong = refused("", name, span, c) if c.place not in ("property", "assume") else None
+        wrong = reject_robot_state("", name, span, c) if c.place not in ("property", "assume") else None
         return wrong or (ir.NSys(INT, span) if name == "N_SYS" else ir.Ids(_IDS, span))
     if name in CONSTANTS:
         return ir.Const(CONSTANTS[name], FLOAT, span)
@@ -199,21 +199,21 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if c.place == "property":
-        from koordgen.lang.check.property import any_value
+        from koordgen.lang.check.property import bind_any_value
 
-        temp = any_value(name, span, c)
+        temp = bind_any_value(name, span, c)
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if is_event(name, c):
         help = "a robot chooses its events by their guards; a variable can tell that one has run"
         return c.error("K017", f"{name} is an event, not a value", span, help)
-    if ended(name, span, c):
+    if report_ended(name, span, c):
         return c.poison(span)
     if name in ("raise", "throw"):
         from koordgen.lang.syntax.habits import FOREIGN as WORDS
 
         return c.error("K010", f"Koord has no '{name}'", span, WORDS[name])
-    help = FOREIGN.get(name) or c.nearest(name, c.visible(), _MEANT)
+    help = FOREIGN.get(name) or c.suggestion(name, c.visible_names(), _MEANT)
     if not help and c.place == "property":
         help = f"if it is a robot, name it: 'forall {name} in ID:'"
     return c.error("K010", f"{name} is not defined", span, help)
@@ -234,7 +234,7 @@ def is_event(name: str, c: Context) -> bool:
     return f"event {name}" in c.owners
 
 
-def ended(name: str, span: Span, c: Context) -> bool:
+def report_ended(name: str, span: Span, c: Context) -> bool:
     """Report a use of a variable after the block or loop that declares it.
 
     False if the name is no such variable.
@@ -331,7 +331,7 @@ def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | Non
     """Return the port `module.name`; None after reporting that the program does not declare it."""
     port = _port_of(module, node.name)
     if port is None and node.name not in c.broken:
-        help = c.nearest(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
+        help = c.suggestion(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
         c.error("K018", f"the port {module.name}.{node.name} is not declared", node.name_span, help)
     return port
 
@@ -344,7 +344,7 @@ def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
         return c.error("K056", f"{name} is a stream and cannot be read", span, f"write {name} << ...")
     if c.place == "assume" and module == c.module:
         return ir.PortRead(module, port.name, False, port.type, span)
-    return refused("the port ", name, span, c) or ir.PortRead(module, port.name, False, port.type, span)
+    return reject_robot_state("the port ", name, span, c) or ir.PortRead(module, port.name, False, port.type, span)
 
 
 def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -390,8 +390,8 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
     elif isinstance(type_, MapOf):
         help = f"the value of a key is {text}[key]"
     else:
-        help = c.nearest(name, fields) or (f"{a(type_)} has {_listed(fields)}" if fields else "")
-    return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help, (), operand)
+        help = c.suggestion(name, fields) or (f"{with_article(type_)} has {_listed(fields)}" if fields else "")
+    return c.error("K015", f"{with_article(type_)} has no field {name}", node.name_span, help, (), operand)
 
 
 def _listed(fields: dict[str, Type]) -> str:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.lang.check.base import check_expr, default, fitting
+from koordgen.lang.check.base import check_expr, converted, default
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import enter, owns, unique
-from koordgen.lang.check.types import bounded, dialect_element, per_robot, resolve
+from koordgen.lang.check.names import enter, is_owner, unique
+from koordgen.lang.check.types import dialect_element, per_robot, resolve, with_capacities
 from koordgen.lang.diagnostics import Edit
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.capacity import excess
@@ -27,7 +27,7 @@ Kind = Literal["allread", "allwrite", "local"]
 
 def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternType, ...]:
     for node in sections:
-        if owns(node.name, node, c):
+        if is_owner(node.name, node, c):
             enter(node.name, node, decl.ExternType(node.name, node.span), c)
             c.types[node.name] = ExternType(node.name) if c.entities[node.name] is not None else None
     return tuple([decl.ExternType(node.name, node.span) for node in sections])
@@ -46,17 +46,17 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
 
     for node in sections:
         c.types[node.name] = None
-    owned = {node.name: node for node in sections if owns(node.name, node, c)}
-    order, cycles = ordered({name: _held(node) for name, node in owned.items()})
+    owned = {node.name: node for node in sections if is_owner(node.name, node, c)}
+    order, cycles = ordered({name: _field_type_names(node) for name, node in owned.items()})
     for cycle in cycles:
         way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
         help = "a record holds values, not references; an index into a list can stand for one"
         c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
     inside = {name for cycle in cycles for name in cycle}
-    room: dict[str, tuple[int, int]] = {}
+    sizes: dict[str, tuple[int, int]] = {}
     records: Records = []
-    for node in [*(owned[name] for name in order), *(n for n in sections if not owns(n.name, n, c))]:
-        fields, type_ = _record_type(node, room, c)
+    for node in [*(owned[name] for name in order), *(n for n in sections if not is_owner(n.name, n, c))]:
+        fields, type_ = _record_type(node, sizes, c)
         type_ = None if node.name in inside else type_
         records.append((node, fields, type_))
         enter(node.name, node, decl.Record(type_, (), node.span) if type_ else None, c)
@@ -68,24 +68,26 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
 _MOST_PARTS, _DEEPEST = 1000, 20  # limits of one record, with the records in it: fields, nesting
 
 
-def _held(node: ast.RecordDef) -> list[str]:
+def _field_type_names(node: ast.RecordDef) -> list[str]:
     return [part.name for field in node.fields for part in nodes(field.type) if isinstance(part, written.NamedType)]
 
 
-def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> tuple[Fields, RecordType | None]:
+def _record_type(
+    node: ast.RecordDef, sizes: dict[str, tuple[int, int]], c: Context
+) -> tuple[Fields, RecordType | None]:
     fields: Fields = []
     seen: dict[str, Span] = {}
     for field in node.fields:
         if isinstance(field.type, written.BrokenType):
             fields.append((field, POISON))  # its name is a guess
             continue
-        type_ = bounded(resolve(field.type, c), field.capacities, False, c)
-        type_ = POISON if _sized(field, "in a record", c) else type_
+        type_ = with_capacities(resolve(field.type, c), field.capacities, False, c)
+        type_ = POISON if _has_size(field, "in a record", c) else type_
         if unique(field.name, f"fields of {node.name}", field.span, seen, c):
             fields.append((field, type_))
-    inner = [room[name] for name in _held(node) if name in room]
+    inner = [sizes[name] for name in _field_type_names(node) if name in sizes]
     parts, depth = len(fields) + sum(p for p, _ in inner), 1 + max((d for _, d in inner), default=0)
-    room[node.name] = parts, depth
+    sizes[node.name] = parts, depth
     if parts > _MOST_PARTS or depth > _DEEPEST:
         much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
         c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
@@ -112,7 +114,7 @@ _NO_PARAM_IN_PARAM = "a param's default cannot depend on another param"
 
 def param_types(sections: list[ast.Param], c: Context) -> None:
     for node in sections:
-        type_ = bounded(resolve(node.type, c), node.capacities, True, c)
+        type_ = with_capacities(resolve(node.type, c), node.capacities, True, c)
         blank = c.poison(node.span)
         enter(node.name, node, None if type_ is POISON else decl.Param(node.name, type_, blank, node.span), c)
 
@@ -121,7 +123,7 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
     params = []
     for node in sections:
         entity = c.entities.get(node.name)
-        type_ = entity.type if isinstance(entity, decl.Param) and owns(node.name, node, c) else POISON
+        type_ = entity.type if isinstance(entity, decl.Param) and is_owner(node.name, node, c) else POISON
         value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
         param = decl.Param(node.name, type_, value, node.span)
         params.append(param)
@@ -130,12 +132,12 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
     return tuple(params)
 
 
-Typed = list[tuple[ast.Variable, Kind, Type]]
+TypedVariables = list[tuple[ast.Variable, Kind, Type]]
 
 
-def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
+def variable_types(sections: Iterable[ast.Variables], c: Context) -> TypedVariables:
     """Define the variables, without their initial values."""
-    typed: Typed = []
+    typed: TypedVariables = []
     for section in sections:
         kind = section.kind
         for node in section.variables:
@@ -155,7 +157,7 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
 def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     type_ = node.type
     if kind != "allread":
-        if _sized(node, f"under '{kind}:'", c):
+        if _has_size(node, f"under '{kind}:'", c):
             resolve(type_, c)
             return POISON  # a list type would make indices of it errors, too: an echo of this one
     elif node.size is not None:
@@ -166,11 +168,11 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
         new = f"{element} {node.name}[N_SYS]"
         place = Span(type_.span.line, type_.span.column, node.span.end_line, node.span.end_column)
         if element is not POISON:
-            c.modern(c.text(place), new, place, (Edit(place, new),))
-        return bounded(element, node.capacities, False, c)
+            c.report_old_spelling(c.text(place), new, place, (Edit(place, new),))
+        return with_capacities(element, node.capacities, False, c)
     else:
         _not_per_robot(node, node.span, c)
-    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
+    return with_capacities(resolve(type_, c), node.capacities, kind == "local", c)
 
 
 def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
@@ -178,7 +180,7 @@ def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
     c.error("K017", message, span, f"write {c.text(node.type.span)} {node.name}[N_SYS]")
 
 
-def _sized(node: ast.Variable, where: str, c: Context) -> bool:
+def _has_size(node: ast.Variable, where: str, c: Context) -> bool:
     """Return whether a variable has a size; report it, because this variable cannot have one."""
     if node.size is not None and not isinstance(node.size, tree.Broken):
         help = f"write List<{c.text(node.type.span)}> {node.name}"
@@ -186,7 +188,7 @@ def _sized(node: ast.Variable, where: str, c: Context) -> bool:
     return node.size is not None
 
 
-def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+def variable_initials(typed: TypedVariables, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
     shared: list[decl.Shared] = []
     locals_: list[decl.Local] = []
     for node, kind, type_ in typed:
@@ -212,7 +214,7 @@ def _initial(
         for part in nodes(value):
             if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
                 return c.error("K025", no_params, part.span)
-    initial = fitting(check_expr(value, c, type_), type_, node.name, c)
+    initial = converted(check_expr(value, c, type_), type_, node.name, c)
     too_much = excess(initial, type_)
     if too_much:
         help = "declare more room with 'max'"

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
 from koordgen.lang.check.graph import ordered
-from koordgen.lang.check.names import enter, owns, reserved, unique
+from koordgen.lang.check.names import enter, is_owner, is_reserved, unique
 from koordgen.lang.check.statements.stmt import check_block
 from koordgen.lang.check.types import per_robot, resolve
 from koordgen.lang.diagnostics import Edit, Label
@@ -68,7 +68,7 @@ Signed = list[tuple[ast.Function, Signature]]
 
 def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
     """Check the bodies of functions. Returns the functions, each after the functions that it calls."""
-    signed = _inferable(signed, c)
+    signed = _callees_first(signed, c)
     checked = {}
     for node, known in signed:
         function = _body(node, known, c)
@@ -85,7 +85,7 @@ def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
     return tuple([checked[name] for name in order])
 
 
-def _inferable(signed: Signed, c: Context) -> Signed:
+def _callees_first(signed: Signed, c: Context) -> Signed:
     """Return the functions in the order in which they are checked.
 
     Functions of the 2020 dialect declare no result types. If there are some, each function stands after those that it
@@ -93,9 +93,9 @@ def _inferable(signed: Signed, c: Context) -> Signed:
     """
     if all(node.result is not None for node, _ in signed):
         return signed
-    by_name = {node.name: (node, known) for node, known in signed if owns(node.name, node, c)}
+    by_name = {node.name: (node, known) for node, known in signed if is_owner(node.name, node, c)}
     calls = {name: _called(node) for name, (node, _) in by_name.items()}
-    return [by_name[name] for name in ordered(calls)[0]] + [s for s in signed if not owns(s[0].name, s[0], c)]
+    return [by_name[name] for name in ordered(calls)[0]] + [s for s in signed if not is_owner(s[0].name, s[0], c)]
 
 
 def _called(node: ast.Function) -> list[str]:
@@ -128,7 +128,7 @@ def _temps(
     for node, (name, type_) in zip(written, ((p.name, p.type) for p in parameters), strict=True):
         entity = c.entities.get(name)
         first = scope.get(name) or (None if isinstance(entity, (decl.Local, decl.Shared, decl.Module)) else entity)
-        if reserved(name):
+        if is_reserved(name):
             c.error("K011", f"{name} is predefined", node.span, "choose another name")
             scope[name] = Temp(c.mint(name), type_, node.span)
         elif first is not None:
@@ -150,7 +150,7 @@ def _modernise(node: ast.Function, result: Type, c: Context) -> None:
         new = f"fun ... -> {result}"
         close = _closing_bracket(node, c)
         edits.append(Edit(Span(close.line, close.column, close.line, close.column), f" -> {result}"))
-    c.modern("def fun", new, start, tuple(edits))
+    c.report_old_spelling("def fun", new, start, tuple(edits))
 
 
 def _closing_bracket(node: ast.Function, c: Context) -> Span:
@@ -176,7 +176,7 @@ def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.Ex
 def _extern(node: ast.ExternFunction, c: Context) -> decl.ExternFunction:
     c.enter("contract")
     entity = c.entities.get(node.name)
-    if not isinstance(entity, decl.ExternFunction) or not owns(node.name, node, c):
+    if not isinstance(entity, decl.ExternFunction) or not is_owner(node.name, node, c):
         return decl.ExternFunction(node.name, (), POISON, (), (), node.span)
     parameters = _temps(node.parameters, entity.parameters, c)
     requires = _formulas(node, "requires", c)

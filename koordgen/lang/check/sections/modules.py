@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.lang.check.base import a, condition
+from koordgen.lang.check.base import condition, with_article
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import enter, owns
-from koordgen.lang.check.types import bounded, resolve
+from koordgen.lang.check.names import enter, is_owner
+from koordgen.lang.check.types import resolve, with_capacities
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.ports import NO_MEANING, usual
@@ -29,11 +29,11 @@ def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
         for group in section.items:
             if isinstance(group, ast.Ports):
                 for port in group.ports:
-                    _add(port, group.direction, section.name, ports, c)
+                    _add_port(port, group.direction, section.name, ports, c)
                     written.setdefault(port.name, port)
     result = []
     for name, (section, ports, written) in found.items():
-        if owns(name, section, c):
+        if is_owner(name, section, c):
             meant = [replace(port, meaning=_meaning(written[port.name], port, ports, c)) for port in ports.values()]
             module = decl.Module(name, tuple(meant), (), section.span)
             enter(name, section, module, c)
@@ -41,7 +41,7 @@ def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
     return result
 
 
-def _add(
+def _add_port(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
     if isinstance(node.type, BrokenType):
@@ -53,7 +53,7 @@ def _add(
         c.error("K011", f"the port {module}.{node.name} is declared twice", node.span, labels=(label,))
         return
     direction = _direction(node, type_, under, f"{module}.{node.name}", c)
-    ports[node.name] = decl.Port(node.name, bounded(type_, (), True, c), direction, NO_MEANING, node.span)
+    ports[node.name] = decl.Port(node.name, with_capacities(type_, (), True, c), direction, NO_MEANING, node.span)
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
@@ -62,7 +62,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
     for mark in node.marks:
-        wrong = _misplaced(mark, port)
+        wrong = _mark_error(mark, port)
         if wrong is not None:
             c.error("K059", *wrong)
         elif mark.word == "as":
@@ -76,7 +76,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
     return decl.Meaning(position, held, tuple(dict.fromkeys(clears)))
 
 
-def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
+def _mark_error(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
     """Return message, span and help of the error if a port cannot have the mark; otherwise None."""
     if mark.word != "as":
         help = f"a command is an actuator's, and {port.name} is none"
@@ -96,8 +96,12 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
         c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare it under 'sensors:'")
         return False
     if sensor.type != type_ and POISON not in (sensor.type, type_):
-        wanted = f"'clears' takes sensors of type {type_}" if mark.word == "clears" else f"the actuator is {a(type_)}"
-        c.error("K059", f"the sensor '{name}' is {a(sensor.type)}; {wanted}", mark.span)
+        wanted = (
+            f"'clears' takes sensors of type {type_}"
+            if mark.word == "clears"
+            else f"the actuator is {with_article(type_)}"
+        )
+        c.error("K059", f"the sensor '{name}' is {with_article(sensor.type)}; {wanted}", mark.span)
         return False
     return True
 
@@ -117,7 +121,9 @@ def _direction(
     if not under:
         help = f"it stands under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
         if type_ is not POISON:
-            c.error("K017", f"{name} is {a(type_)}; only a PathPlanner or a stream stands here", node.span, help)
+            c.error(
+                "K017", f"{name} is {with_article(type_)}; only a PathPlanner or a stream stands here", node.span, help
+            )
         return "sensor"
     return under
 

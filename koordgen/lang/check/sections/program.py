@@ -9,7 +9,7 @@ import os
 from typing import Any, NamedTuple
 
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import claim
+from koordgen.lang.check.names import claim_names
 from koordgen.lang.check.sections.declare import (
     extern_types,
     param_defaults,
@@ -29,17 +29,17 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 
 
-class Typed(NamedTuple):
+class ResolvedProgram(NamedTuple):
     """Result of the first check: a program with names and types, with drafts among its nodes (`ir.draft`)."""
 
     program: decl.Program
     found: list[Diagnostic]
 
 
-def resolve(program: ast.Program, source: Source) -> Typed:
+def resolve(program: ast.Program, source: Source) -> ResolvedProgram:
     """Resolve names and types: the first of the two checks of a program."""
     c = Context(source, program)
-    return Typed(_program(program, c), c.found)
+    return ResolvedProgram(_program(program, c), c.found)
 
 
 def _program(program: ast.Program, c: Context) -> decl.Program:
@@ -50,7 +50,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     def of(kind: type) -> list[Any]:
         return sections.get(kind, [])
 
-    claim(program, c)
+    claim_names(program, c)
     opaque = extern_types(of(ast.ExternType), c)
     fields = record_types(of(ast.RecordDef), c)
     param_types(of(ast.Param), c)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.lang.check.base import a, condition
+from koordgen.lang.check.base import condition, with_article
 from koordgen.lang.check.context import Context, Out, check_block
 from koordgen.lang.check.expressions.collection import check_domain, declare, elements
 from koordgen.lang.check.expressions.dialect import old_for
@@ -43,7 +43,7 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
     else:
         over_map = count == 2 and isinstance(values, MapOf)
         help = f"write {c.text(node.values.span)}.items()" if over_map else ""
-        c.error("K012", f"each element is {a(element)}, not {count} values", node.values.span, help)
+        c.error("K012", f"each element is {with_article(element)}, not {count} values", node.values.span, help)
     return (POISON,) * count
 
 

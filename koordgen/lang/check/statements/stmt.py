@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from typing import cast
 
-from koordgen.lang.check.base import a, check_expr, condition, default, fitting
+from koordgen.lang.check.base import check_expr, condition, converted, default, with_article
 from koordgen.lang.check.context import STATEMENTS, Context, Out, check_block
 from koordgen.lang.check.expressions.collection import declare
 from koordgen.lang.check.expressions.expr import arithmetic
 from koordgen.lang.check.expressions.name import declared_port, module_named
 from koordgen.lang.check.statements.loop import check_counted, check_for, check_while
-from koordgen.lang.check.statements.target import Target, check_target, check_update, declaration, pops, updates
+from koordgen.lang.check.statements.target import (
+    AssignmentTarget,
+    check_target,
+    check_update,
+    declaration,
+    is_pop,
+    is_update,
+)
 from koordgen.lang.check.types import resolve
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
@@ -29,17 +36,17 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     target = check_target(node.target, c)
     if target is None:
         c.hoisted.clear()
-        out.append(draft.Wrong((_unassigned(node, c),), node.span))
+        out.append(draft.WrongStmt((_unassigned(node, c),), node.span))
         return
     type_ = target.read.type
-    if not node.op and pops(node.value, c):
+    if not node.op and is_pop(node.value, c):
         _assign_popped(node, target, c, out)
         return
     value = check_expr(node.value, c, type_)
     if node.op:
         value = arithmetic(node.op, target.read, value, node.span, c)
     if value.type is not type_:
-        value = fitting(value, type_, c.text(node.target.span), c)
+        value = converted(value, type_, c.text(node.target.span), c)
     write(target, value, bool(node.op), node.span, c, out)
 
 
@@ -50,7 +57,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     """
     at, target = len(c.found) - 1, node.target
     forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
-    if pops(node.value, c):
+    if is_pop(node.value, c):
         update = check_update(node.value, c)
         value = (update[1] if update is not None else None) or c.poison(node.span)
         c.hoisted.clear()
@@ -71,7 +78,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     return value
 
 
-def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
+def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
     """Append the IR of `target = value`. `reads`: the new value depends on the old one."""
     place = target.place
     hoist(span, c, out)
@@ -95,7 +102,7 @@ def hoist(span: Span, c: Context, out: Out) -> None:
     c.hoisted.clear()
 
 
-def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
+def _assign_popped(node: tree.Assign, target: AssignmentTarget, c: Context, out: Out) -> None:
     """Check `x = q.pop()`: read the element, then remove it.
 
     A target that is a part of a variable is written last. So is a variable that the index of `pop` reads: otherwise
@@ -105,11 +112,11 @@ def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> N
     update = check_update(node.value, c)
     if update is None:
         c.hoisted.clear()
-        out.append(draft.Wrong((), node.span))
+        out.append(draft.WrongStmt((), node.span))
         return
     queue, value, rest = update
     assert value is not None
-    value = fitting(value, target.read.type, c.text(node.target.span), c)
+    value = converted(value, target.read.type, c.text(node.target.span), c)
     if target.whole and queue.whole and target.read not in set(walk(rest)):
         write(target, value, False, node.span, c, out)
         write(queue, rest, True, node.span, c, out)
@@ -128,18 +135,20 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            out.append(draft.Wrong((), node.span))  # `assert b`, `del n` parse as declarations, but are none
+            out.append(draft.WrongStmt((), node.span))  # `assert b`, `del n` parse as declarations, but are none
             return
         value = default(type_, node.span, c)
-    elif pops(node.value, c):
+    elif is_pop(node.value, c):
         update = check_update(node.value, c)
         value = (update[1] if update is not None else None) or c.poison(node.span)
     else:
         value = check_expr(node.value, c, type_)
-    value = fitting(value, type_, node.name, c)
+    value = converted(value, type_, node.name, c)
     temp = declare(node.name, type_, node.name_span, c)
     hoist(node.span, c, out)
-    out.append(stmt.Let(temp.unique, type_, value, node.span) if temp is not None else draft.Wrong((value,), node.span))
+    out.append(
+        stmt.Let(temp.unique, type_, value, node.span) if temp is not None else draft.WrongStmt((value,), node.span)
+    )
     if update is not None:
         write(update[0], update[2], True, node.span, c, out)
 
@@ -161,21 +170,21 @@ def _type(node: tree.Declare, c: Context) -> Type:
 
 def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
     value = node.value
-    if updates(value, c):
+    if is_update(value, c):
         update = check_update(value, c)
         if update is not None:
             write(update[0], update[2], True, node.span, c, out)
         else:
-            out.append(draft.Wrong((), node.span))
+            out.append(draft.WrongStmt((), node.span))
         c.hoisted.clear()
     elif isinstance(value, ast.Binary) and value.op == "<<":
         _emit(value, node.span, c, out)
     elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":
         c.error("K024", "this compares and does nothing", node.span, "'=' assigns")
-        out.append(draft.Wrong((), node.span))
+        out.append(draft.WrongStmt((), node.span))
     else:
         checked = check_expr(value, c)
-        out.append(draft.Wrong((checked,), node.span))
+        out.append(draft.WrongStmt((checked,), node.span))
         if checked.type is POISON:
             return
         if isinstance(value, ast.Call):
@@ -195,7 +204,7 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
     while isinstance(head, ast.Binary) and head.op == "<<":
         parts.append(head.right)
         head = head.left
-    items = tuple([_text(check_expr(part, c), c) for part in reversed(parts)])
+    items = tuple([_as_string(check_expr(part, c), c) for part in reversed(parts)])
     module = module_named(head.value, c) if isinstance(head, ast.Attribute) else None
     port = declared_port(module, head, c) if module is not None and isinstance(head, ast.Attribute) else None
     if module is not None and port is not None and port.type is STREAM and c.place != "function":
@@ -210,11 +219,11 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
         help = "do it in the event that calls the function"
         c.error("K027", "a function changes nothing: it cannot write to a stream", span, help)
     elif port is not None and port.type is not POISON:
-        c.error("K056", f"{module.name}.{port.name} is {a(port.type)}, not a stream", head.span)
-    out.append(draft.Wrong(items, span))
+        c.error("K056", f"{module.name}.{port.name} is {with_article(port.type)}, not a stream", head.span)
+    out.append(draft.WrongStmt(items, span))
 
 
-def _text(value: ir.Expr, c: Context) -> ir.Expr:
+def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
     """Return the string that a stream shows for a value."""
     type_ = value.type
     if type_ is POISON or type_ == STRING:
@@ -222,7 +231,7 @@ def _text(value: ir.Expr, c: Context) -> ir.Expr:
     if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
         return ir.Builtin("str", (value,), STRING, value.span)
     help = "show its parts, or its length"
-    return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help, (), value)
+    return c.error("K056", f"a stream cannot show {with_article(type_)}", value.span, help, (), value)
 
 
 # Control flow
@@ -266,7 +275,7 @@ def _return(node: tree.Return, c: Context, out: Out) -> None:
         value = check_expr(node.value, c, c.result)
         if c.result is None:
             c.result = value.type
-        value = fitting(value, c.result, "the result", c)
+        value = converted(value, c.result, "the result", c)
     out.append(stmt.Return(value, node.span))
 
 
@@ -293,7 +302,7 @@ def _nothing(node: tree.Pass, c: Context, out: Out) -> None:
 
 
 def _broken(node: tree.BrokenStmt, c: Context, out: Out) -> None:
-    out.append(draft.Unread(node.span))
+    out.append(draft.UnparsedStmt(node.span))
 
 
 STATEMENTS.update(

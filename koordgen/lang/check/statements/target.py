@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeGuard
 
-from koordgen.lang.check.base import a, argument, check_expr, fitting, has_call, is_poisoned
+from koordgen.lang.check.base import argument, check_expr, converted, has_call, is_poisoned, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
-from koordgen.lang.check.expressions.call import no_method, positional, skip
+from koordgen.lang.check.expressions.call import no_method, positional_arguments, skip
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
     FOREIGN,
     declared_port,
-    ended,
     field_of,
     module_named,
     no_field,
-    refused,
+    reject_robot_state,
+    report_ended,
     word_of,
 )
 from koordgen.lang.diagnostics import Label
@@ -43,7 +43,7 @@ from koordgen.lang.node import Node
 from koordgen.lang.syntax import expr as ast
 
 
-class Target(Node):
+class AssignmentTarget(Node):
     """Target of an assignment: a variable, or a part of its value.
 
     `read` reads the target. To give it the value `new`, `place`, the whole variable, is set to `put(new)`. `whole`: the
@@ -56,7 +56,7 @@ class Target(Node):
     whole: bool
 
 
-def check_target(node: ast.Expr, c: Context) -> Target | None:
+def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
     """Return the target of an assignment; None after reporting that it cannot be assigned."""
     match node:
         case ast.Name():
@@ -94,11 +94,11 @@ def _same(value: ir.Expr) -> ir.Expr:
     return value
 
 
-def _named(node: ast.Name, c: Context) -> Target | None:
+def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
     name, span = node.name, node.span
     temp = c.temp(name)
     if temp is not None:
-        return Target(stmt.TempPlace(temp.unique), ir.TempRead(temp.unique, temp.type, span), _same, True)
+        return AssignmentTarget(stmt.TempPlace(temp.unique), ir.TempRead(temp.unique, temp.type, span), _same, True)
     if name not in c.entities:
         _unknown(node, c)
         return None
@@ -106,11 +106,11 @@ def _named(node: ast.Name, c: Context) -> Target | None:
         case None:
             pass
         case Local(type=type_):
-            if refused("the variable ", name, span, c) is None:
-                return Target(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
+            if reject_robot_state("the variable ", name, span, c) is None:
+                return AssignmentTarget(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
         case Shared(kind="allwrite", type=type_):
-            if refused("the variable ", name, span, c) is None:
-                return Target(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
+            if reject_robot_state("the variable ", name, span, c) is None:
+                return AssignmentTarget(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
         case Shared():
             c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
         case Param():
@@ -130,8 +130,8 @@ def _unknown(node: ast.Name, c: Context) -> None:
         c.error("K022", f"{name} is predefined and cannot be assigned", span)
     elif name not in c.broken and name not in c.owners:
         c.owners[name] = node  # treat the assignment as a declaration, so that later uses are not reported
-        if not ended(name, span, c):
-            help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
+        if not report_ended(name, span, c):
+            help = FOREIGN.get(name) or c.suggestion(name, [n for n in c.visible_names() if n not in PREDEFINED])
             c.error("K010", f"{name} is not defined", span, help or declaration(name))
 
 
@@ -140,26 +140,26 @@ def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
     return f"declare it: '{type_} {name} = {value}'"
 
 
-def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
-    index = fitting(check_expr(node.index, c), INT, "an index", c)
+def _slot(node: ast.Index, entity: Shared, c: Context) -> AssignmentTarget | None:
+    index = converted(check_expr(node.index, c), INT, "an index", c)
     if index.type is POISON or entity.type is POISON:
         return None
     name = entity.name
-    if refused("the variable ", name, node.value.span, c) is not None:
+    if reject_robot_state("the variable ", name, node.value.span, c) is not None:
         return None
     read = ir.SlotRead(name, ir.Pid(INT, index.span), True, entity.type, node.span)
     place = stmt.OwnSlot(name) if type(index) is ir.Pid else SlotPlace(name, index, node.span)
-    return Target(place, read, _same, True)
+    return AssignmentTarget(place, read, _same, True)
 
 
-def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
+def _port(module: Module, node: ast.Attribute, c: Context) -> AssignmentTarget | None:
     port = declared_port(module, node, c)
     name = f"{module.name}.{node.name}"
-    if port is None or refused("the port ", name, node.span, c) is not None:
+    if port is None or reject_robot_state("the port ", name, node.span, c) is not None:
         return None
     if port.direction == "actuator":
         read = ir.PortRead(module.name, port.name, False, port.type, node.span)
-        return Target(stmt.PortPlace(module.name, port.name), read, _same, True)
+        return AssignmentTarget(stmt.PortPlace(module.name, port.name), read, _same, True)
     if port.direction == "sensor":
         label = Label(port.span, "declared as a sensor")
         c.error("K020", f"{name} is a sensor and cannot be assigned", node.span, labels=(label,))
@@ -170,7 +170,7 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
     return None
 
 
-def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
+def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> AssignmentTarget | None:
     """Return the target `outer[index]`, of a List, a Map or a tuple."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
@@ -184,7 +184,7 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
     if index.type is POISON:
         return None
     if isinstance(type_, MapOf):
-        key = hoisted(fitting(index, type_.key, "the key", c), c)
+        key = hoisted(converted(index, type_.key, "the key", c), c)
         if key.type is POISON:
             return None
         at = ir.Builtin("map_at", (read, key), type_.value, node.span)
@@ -196,12 +196,12 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
         return _part(outer, found, lambda new: ir.Builtin("updated", (read, found.index, new), type_, node.span))
     part = element(read, index, node, c)
     if part.type is not POISON:
-        message = f"{c.text(node.span)} is a part of {a(type_)} and cannot be assigned"
+        message = f"{c.text(node.span)} is a part of {with_article(type_)} and cannot be assigned"
         c.error("K022", message, node.span, "assign it as a whole")
     return None
 
 
-def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
+def _field(outer: AssignmentTarget, node: ast.Attribute, c: Context) -> AssignmentTarget | None:
     """Return the target `outer.name`, of a record."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
@@ -218,8 +218,8 @@ def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
     return _part(outer, part, lambda new: ir.With(read, node.name, new, type_, node.span))
 
 
-def _part(outer: Target, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> Target:
-    return Target(outer.place, read, lambda new: outer.put(put(new)), False)
+def _part(outer: AssignmentTarget, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> AssignmentTarget:
+    return AssignmentTarget(outer.place, read, lambda new: outer.put(put(new)), False)
 
 
 def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
@@ -236,11 +236,11 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
 
 # Methods that change their object: `xs.append(v)` assigns to `xs` a value that is longer by one.
 
-Update = tuple[Target, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
+Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
 _NAMES = {name for _, name in UPDATES} | {"pop"}
 
 
-def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
+def is_update(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
     """Return whether an expression is a call of a method that changes its object."""
     return (
         type(node) is ast.Call
@@ -250,13 +250,13 @@ def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
     )
 
 
-def pops(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
+def is_pop(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
     """Return whether an expression is a call of `pop`, which changes its object and has a value."""
-    return updates(node, c) and isinstance(node.function, ast.Attribute) and node.function.name == "pop"
+    return is_update(node, c) and isinstance(node.function, ast.Attribute) and node.function.name == "pop"
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """Return the effect of a call for which `updates` is true; None after reporting that it is wrong."""
+    """Return the effect of a call for which `is_update` is true; None after reporting that it is wrong."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
@@ -274,7 +274,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         return None
     types = _arguments(type_, name)
     takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional(node, name, (len(types),), takes, c)
+    nodes = positional_arguments(node, name, (len(types),), takes, c)
     if not isinstance(nodes, tuple):
         return None
     args = [
@@ -298,12 +298,12 @@ def _arguments(type_: Type, name: str) -> tuple[Type, ...]:
     return (INT, type_.element) if name == "insert" else (type_.element,)
 
 
-def _pop(target: Target, node: ast.Call, c: Context) -> Update | None:
+def _pop(target: AssignmentTarget, node: ast.Call, c: Context) -> Update | None:
     read, type_, span = target.read, target.read.type, node.span
     assert isinstance(type_, Sequence)
     many = (0,) if type_.name == "Queue" else (0, 1)
     help = "the front goes first" if type_.name == "Queue" else "pop() takes the last element, pop(i) that at i"
-    nodes = positional(node, "pop", many, help, c)
+    nodes = positional_arguments(node, "pop", many, help, c)
     if not isinstance(nodes, tuple):
         return None
     if type_.name == "Queue":
@@ -313,7 +313,7 @@ def _pop(target: Target, node: ast.Call, c: Context) -> Update | None:
         last = ir.Binary("-", ir.Builtin("len", (read,), INT, span), ir.Const(1, INT, span), True, INT, span)
         value = ir.At(read, last, False, type_.element, span)
         return target, value, ir.Builtin("popped", (read,), type_, span)
-    index = hoisted(fitting(check_expr(nodes[0], c), INT, "an index", c), c)
+    index = hoisted(converted(check_expr(nodes[0], c), INT, "an index", c), c)
     if index.type is POISON:
         return None
     return target, ir.At(read, index, False, type_.element, span), ir.Builtin("without", (read, index), type_, span)

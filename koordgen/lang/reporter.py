@@ -6,7 +6,7 @@ from koordgen.lang.diagnostics import Diagnostic, Label, Severity
 from koordgen.lang.source import Source, Span
 
 
-class Findings:
+class Reporter:
     """Collector of diagnostics in the order of their reports, with the source that they are about."""
 
     def __init__(self, source: Source) -> None:

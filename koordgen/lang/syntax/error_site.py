@@ -11,7 +11,7 @@ _OPENS = ("(", "[", "{")
 _CLOSES = (")", "]", "}")
 
 
-class Spot:
+class ErrorSite:
     """Position of a syntax error: `tokens[position]` is rejected; types in `expected` would fit."""
 
     def __init__(self, tokens: list[Token], position: int, expected: set[str]) -> None:
@@ -34,7 +34,7 @@ class Spot:
         """Span of the rejected token; if the line ends too early, the column after its last token."""
         _, text, line, column = self.tokens[self.position][:4]
         if self.kind in _ENDS and self.before is not None:
-            return behind(self.before)
+            return column_after(self.before)
         return Span(line, column, line, column + max(1, len(text)))
 
     @property
@@ -96,7 +96,7 @@ def place(first: Token, last: Token) -> Span:
     return Span(first[2], first[3], *_end(last))
 
 
-def behind(token: Token) -> Span:
+def column_after(token: Token) -> Span:
     """Return the span of the column after a token."""
     line, column = _end(token)
     return Span(line, column, line, column + 1)
