@@ -62,7 +62,7 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
     for variable in variables:
         wrong = flaw_of(variable.initial, variable.type, firsts)
         if wrong is not None:
-            raise BadParam(f"with these params the first value of {variable.name} {wrong.reason}")
+            raise BadParam(f"with these params the initial value of {variable.name} {wrong.reason}")
     return replace(program, params=tuple(params))
 
 
@@ -95,7 +95,7 @@ def parse_value(text: str) -> Value:
         try:
             value: Value = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise BadParam(f"{text!r} is no JSON: {error}") from None
+            raise BadParam(f"{text!r} is not JSON: {error}") from None
         return value
     for convert in (int, float):
         try:

@@ -138,8 +138,8 @@ def per_robot(value: ir.Expr, c: Context) -> ir.Expr:
 
 def _index_help(text: str, c: Context) -> str:
     if c.place in ("function", "contract"):
-        return f"{text}[i] is robot i's"
-    return f"{text}[i] is robot i's" if c.place == "property" else f"{text}[pid] is this robot's"
+        return f"{text}[i] is the value of robot i"
+    return f"{text}[i] is the value of robot i" if c.place == "property" else f"{text}[pid] is the value of this robot"
 
 
 def with_article(type_: Type) -> str:

@@ -16,7 +16,7 @@ from koordgen.lang.syntax import stmt as tree
 Invariants = tuple[stmt.LoopInvariant, ...]
 
 _HEAD = "write it as the first lines of the block of 'for' or 'while'"
-_LEAST = "it is evaluated behind the last turn, too, where there is no element: loop over range(len(...))"
+_LEAST = "it is also evaluated after the last iteration, when there is no element: loop over range(len(...))"
 
 
 def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
@@ -66,8 +66,8 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
     Returns a read of the temp that saves the value of `x` before the loop.
     """
     if c.entry is None:
-        help = "outside of one, keep the value in a variable: int before = x"
-        return c.error("K058", "'old' has a meaning in loop invariants only", node.span, help)
+        help = "elsewhere, save the value in a variable: int before = x"
+        return c.error("K058", "'old' can only be used in loop invariants", node.span, help)
     if len(node.args) != 1 or isinstance(node.args[0], ast.Keyword):
         return c.error("K014", f"old takes 1 argument, not {len(node.args)}", node.span, "old(variable)")
     read = check_expr(node.args[0], c)
@@ -85,7 +85,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
         case _:
             name = ""
     if not name or isinstance(read.type, PerRobot):
-        help = "a part of it stands behind: old(xs)[i], old(p).x"
+        help = "write a part of it after the brackets: old(xs)[i], old(p).x"
         return c.error("K058", f"old takes a variable of this robot or a shared one, not {text}", node.span, help)
     let = c.entry.values.get(read)
     if let is None:
@@ -95,12 +95,12 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
 
 def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
     """Report a call of a port in a loop invariant."""
-    help = f"ask before the loop and keep the answer: ... = {name}(...)"
+    help = f"call it before the loop and save the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
 
 
 def _misplaced(node: tree.Invariant, c: Context, out: Out) -> None:
-    c.error("K058", "a loop invariant stands at the head of a loop's block only", node.span, _HEAD)
+    c.error("K058", "a loop invariant must stand at the head of a loop's block", node.span, _HEAD)
 
 
 STATEMENTS[tree.Invariant] = _misplaced

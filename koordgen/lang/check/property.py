@@ -25,7 +25,7 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
         if node.name:
             unique(node.name, "properties", node.span, seen, c)
         c.enter("property")
-        what = f"the {node.kind} {node.name}" if node.name else "what holds initially"
+        what = f"the {node.kind} {node.name}" if node.name else "the formula of 'initially'"
         formula = condition(node.formula, c, what)
         found.append(decl.Property(node.kind, node.name, formula, node.span))
     return tuple(found)

@@ -59,7 +59,7 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     known = NAMED.get(name)
     if known is not None:
         if (known is PLANNER or known is STREAM) and not port:
-            c.error("K017", f"a {name} is a port, not a value", span, "it stands under 'using'")
+            c.error("K017", f"a {name} is a port, not a value", span, "declare it under 'using'")
             return POISON
         return known
     if name in c.types:
@@ -70,9 +70,9 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     if name in c.broken:
         return POISON
     if name in ("Rect", "Ball"):
-        c.error("K017", f"a {name} is a region, not a value", span, "it stands on the right of 'in'")
+        c.error("K017", f"a {name} is a region, not a value", span, "write it on the right of 'in'")
     elif name in GENERIC:
-        c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_example_types(name)}>")
+        c.error("K014", f"{name} needs the types of its contents", span, f"write {name}<{_example_types(name)}>")
     else:
         help = c.suggestion(name, [*NAMED, *GENERIC, *c.types], _MEANT)
         define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
@@ -86,7 +86,7 @@ def _example_types(name: str) -> str:
 
 def _composed(node: tree.GenericType | tree.TupleType | tree.BrokenType, c: Context, depth: int) -> Type:
     if depth > _DEEPEST:
-        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "give parts of it as records")
+        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "declare records for parts of it")
         return POISON
     match node:
         case tree.BrokenType():
@@ -164,7 +164,7 @@ def with_capacities(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, 
     if type_ != POISON and len(capacities) != wanted:
         span = capacities[min(wanted, len(capacities) - 1)].span
         if not wanted:
-            c.error("K053", f"{with_article(type_)} always takes the same room: 'max' has no place here", span)
+            c.error("K053", f"{with_article(type_)} has a fixed size: 'max' is not allowed here", span)
         else:
             many = "one capacity" if wanted == 1 else f"{wanted} capacities, outermost first"
             c.error("K053", f"{type_} takes {many}, not {len(capacities)}", span)
@@ -182,7 +182,7 @@ def _capacity(node: ast.Expr, c: Context) -> int | None:
         case ast.Broken():
             return None
         case _:
-            c.error("K053", f"{c.text(node.span)} is no capacity", node.span, "write a number, 1 at least")
+            c.error("K053", f"{c.text(node.span)} is not a capacity", node.span, "write a number of at least 1")
             return None
 
 

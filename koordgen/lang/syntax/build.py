@@ -214,7 +214,7 @@ def generic(c: Children) -> types.GenericType:
 def tuple_type(c: Children) -> types.TupleType:
     items = tuple(map(as_type, nodes(c)))
     if len(items) < 2:
-        raise builder_error("K001", "a tuple's type has two items at least", span_across(c[0], c[-1]))
+        raise builder_error("K001", "a tuple type has at least two items", span_across(c[0], c[-1]))
     return types.TupleType(items, span_across(c[0], c[-1]))
 
 
@@ -235,7 +235,7 @@ def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
             return types.BrokenType(node.span)
         case _:
             help = "a declaration is a type and a name: int count = 0"
-            raise builder_error("K001", "this is no type", node.span, help)
+            raise builder_error("K001", "this is not a type", node.span, help)
 
 
 _ESCAPES = {'\\"': '"', "\\'": "'", "\\\\": "\\", "\\n": "\n", "\\t": "\t"}
@@ -346,7 +346,9 @@ def string(c: Children) -> expr.Literal:
         if escape[0] not in _ESCAPES:
             start = column + escape.start()
             help = "the escapes are \\\" \\' \\\\ \\n \\t"
-            raise builder_error("K001", f"'{escape[0]}' is no escape", Span(line, start, line, start + 2), help)
+            raise builder_error(
+                "K001", f"'{escape[0]}' is not an escape sequence", Span(line, start, line, start + 2), help
+            )
     return expr.Literal(_ESCAPE.sub(lambda escape: _ESCAPES[escape[0]], text[1:-1]), token_span(c[0]))
 
 
@@ -367,7 +369,7 @@ def tuple_(c: Children) -> expr.Tuple:
     items = nodes(c)
     if len(items) < 2:
         help = "parentheses need no comma inside"
-        raise builder_error("K001", "a tuple has two items at least", span_across(c[0], c[-1]), help)
+        raise builder_error("K001", "a tuple has at least two items", span_across(c[0], c[-1]), help)
     return expr.Tuple(items, span_across(c[0], c[-1]))
 
 

@@ -64,7 +64,7 @@ _ASSIGNS = re.compile(
     r"[ ]*[A-Za-z_][A-Za-z0-9_]*(?P<more>(?:\.[A-Za-z_][A-Za-z0-9_]*|\[[^\]\n]*\])*(?:[ ]+[A-Za-z_][A-Za-z0-9_]*)?)"
     r"[ \t]*(?:[-+*/%]|//|\*\*)?=(?!=)"
 )
-_NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
+_NO_BRACES = "blocks have no braces: end the header with ':' and indent the block's lines"
 CONTINUING = frozenset(("and", "or", "&&", "||"))  # a line that begins with one continues the line before
 _CLOSES = {")": "(", "]": "[", "}": "{"}
 _BRACKETS = frozenset("()[]{}")
@@ -205,13 +205,13 @@ class _Layout:
         if token == "'" and before in _BEFORE_PRIME:
             return token
         # Report an unclosed string here: it may hide closing brackets, so the open ones are dropped.
-        self._report("K001", "this string is not closed", line, column, f"a string ends with {token[0]} on its line")
+        self._report("K001", "this string is not closed", line, column, f"end it with {token[0]} on the same line")
         self.brackets.clear()
         return "STRING"
 
     def _start_line(self, line: int, indent: int, tab: int) -> None:
         if tab >= 0:
-            self._report("K004", "a tab stands in the indentation", line, tab + 1, "indent with spaces")
+            self._report("K004", "the indentation contains a tab", line, tab + 1, "indent with spaces")
         if indent == 0:
             self._end_chunk(line, 1)
         elif indent > self.indents[-1]:
@@ -262,7 +262,7 @@ class _Layout:
             if len(self.brackets) == DEEPEST_BRACKETS + 1:
                 self._report("K007", f"brackets are nested more than {DEEPEST_BRACKETS} deep", line, column)
         elif not self.brackets:
-            self._report("K006", f"'{text}' closes nothing", line, column, _NO_BRACES if text == "}" else "")
+            self._report("K006", f"'{text}' has no opening bracket", line, column, _NO_BRACES if text == "}" else "")
         else:
             opened = self.brackets.pop()
             if opened[1] != _CLOSES[text]:

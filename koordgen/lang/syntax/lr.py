@@ -173,4 +173,4 @@ def check_depth(section: Node) -> None:
 def too_deep(span: Span) -> build.BuilderError:
     """Make an exception to raise for an expression that is nested too deeply."""
     message = f"this expression is nested more than {DEEPEST_TREE} deep"
-    return build.builder_error("K007", message, span, "give parts of it names of their own")
+    return build.builder_error("K007", message, span, "assign parts of it to variables")

@@ -15,10 +15,10 @@ _CHARACTERS = {
     "~": "write 'not'",
     "?": "write 'a if condition else b'",
     "^": "a power is written '**'",
-    "\u201c": 'a string stands in straight quotes: "..."',
-    "\u201d": 'a string stands in straight quotes: "..."',
-    "\u2018": "a string stands in straight quotes: '...'",
-    "\u2019": "a string stands in straight quotes: '...'",
+    "\u201c": 'write a string in straight quotes: "..."',
+    "\u201d": 'write a string in straight quotes: "..."',
+    "\u2018": "write a string in straight quotes: '...'",
+    "\u2019": "write a string in straight quotes: '...'",
     "\u2013": "write '-'",
     "\u2212": "write '-'",
     "\u00d7": "write '*'",
@@ -34,7 +34,7 @@ _CHARACTERS = {
     "\u2203": "write 'exists'",
     "\u2208": "write 'in'",
     "\u00a0": "write an ordinary space",
-    "\\": "a '\\' that continues a line is the last of it",
+    "\\": "a '\\' that continues a line must be its last character",
 }
 
 
@@ -64,7 +64,7 @@ def _number(site: ErrorSite) -> Diagnostic:
         help = f"write {shown(text[:-1])}"
     elif re.fullmatch(r"[0-9]+[A-Za-z_][A-Za-z0-9_]*", text):
         help = "a name does not begin with a digit"
-    return site.error(f"'{shown(text)}' is no number", help)
+    return site.error(f"'{shown(text)}' is not a number", help)
 
 
 def _quotes(site: ErrorSite) -> Diagnostic | None:
@@ -81,13 +81,13 @@ def _quotes(site: ErrorSite) -> Diagnostic | None:
     elif before[0] == "'" and len(head) > 1 and head[-2][0] == "NAME" and head[-2][1].lower() in ("f", "r", "b", "u"):
         prefix = head[-2]
     if prefix is not None and prefix[1].lower() in ("f", "fr", "rf"):
-        return site.error("Koord has no f-strings", "join texts: 'at ' + str(x)", place(prefix, before))
+        return site.error("Koord has no f-strings", "join strings: 'at ' + str(x)", place(prefix, before))
     if prefix is not None:
-        return site.error("nothing stands before the quotes of a string", span=place(prefix, before))
+        return site.error("a string has no prefix before its quotes", span=place(prefix, before))
     if site.kind == "STRING" and before[0] == "STRING":
         if before[1] in ('""', "''"):
-            return site.error("a string stands on one line", "a comment begins with '#'", place(before, before))
-        return site.error("two strings stand side by side", "join them with '+'")
+            return site.error("a string must be on one line", "a comment begins with '#'", place(before, before))
+        return site.error("two strings follow each other", "join them with '+'")
     return None
 
 
@@ -98,7 +98,7 @@ def _points(site: ErrorSite) -> Diagnostic | None:
         return site.error(f"expected ',' or ':', found '{site.text}'", "write 'for i in range(a, b):'")
     if site.before_is(".") and not dots and len(site.head) > 1 and site.head[-2][0] == "INT":
         first, dot = site.head[-2:]
-        return site.error(f"'{shown(first[1])}.' is no number", f"write {shown(first[1])}.0", place(first, dot))
+        return site.error(f"'{shown(first[1])}.' is not a number", f"write {shown(first[1])}.0", place(first, dot))
     return None
 
 
@@ -130,9 +130,9 @@ def _marks(site: ErrorSite) -> Diagnostic | None:
     if ours is not None:
         return site.error(f"Koord has no '{pair}'", f"write '{ours}'")
     if site.kind == "+" and site.wants_expression:
-        return site.error("a value has no '+' before it", "leave the '+' out")
+        return site.error("a value cannot have a '+' before it", "remove the '+'")
     if site.kind in ("//", "/") and ("pass" in site.expected or site.position == 0):
-        return site.error(f"no line begins with '{site.kind}'", "a comment begins with '#'")
+        return site.error(f"a line cannot begin with '{site.kind}'", "a comment begins with '#'")
     if site.kind == "NAME" and any(token[0] == "//" for token in site.head) and not site.touches("//"):
         return site.error(f"expected an operator, found '{shown(site.text)}'", "a comment begins with '#'")
     return None

@@ -69,7 +69,7 @@ def _indentation(site: ErrorSite) -> Diagnostic | None:
     if site.kind == "INDENT":
         before = site.tokens[start_of_line(site.tokens, site.position - 1)]
         depth = f"indent it by {before[3] - 1} spaces as line {before[2]}"
-        help = f"{depth}: only what belongs to a block stands deeper than the line before"
+        help = f"{depth}: only the lines of a block are indented deeper than the line before"
         return site.error("unexpected indentation", help, code="K008")
     if site.expected == {"INDENT"} and site.position > 1:
         colon = site.tokens[site.position - 2]
@@ -83,11 +83,11 @@ def _equals(site: ErrorSite) -> Diagnostic | None:
     if site.kind != "=" or "==" not in site.expected:
         return None
     if any(token[0] == "=" or token[0] in _AUGMENTED for token in site.head) and not site.bracket:
-        help = "write one assignment a line"
-        return site.error("an assignment has no value and cannot stand in another one", help)
+        help = "write each assignment on its own line"
+        return site.error("an assignment has no value and cannot be part of another one", help)
     if site.bracket or _governing(site) in _CONDITIONS:
-        return site.error("'=' assigns and cannot stand in a condition", "'==' compares")
-    return site.error("what stands before '=' cannot be assigned", span=place(site.head[0], site.head[-1]))
+        return site.error("'=' assigns and cannot be used in a condition", "'==' compares")
+    return site.error("the left side of '=' cannot be assigned", span=place(site.head[0], site.head[-1]))
 
 
 def _governing(site: ErrorSite) -> str:
@@ -125,7 +125,7 @@ def _outside(site: ErrorSite) -> str:
     kinds = [token[0] for token in site.tokens[: site.position + 2]]
     if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:
         return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
-    return "a statement stands under 'init:' or an event's 'eff:'"
+    return "write a statement under 'init:' or an event's 'eff:'"
 
 
 def _reserved_word(site: ErrorSite) -> Diagnostic | None:
@@ -137,7 +137,7 @@ def _reserved_word(site: ErrorSite) -> Diagnostic | None:
         "NAME" in site.expected and (site.next in ("=", "NEWLINE", "[", ")") or site.next in _AUGMENTED)
     )
     if named and not (site.kind == "GENERIC" and site.next == "["):
-        help = f"'{site.text}' is a word of the language; choose another name"
+        help = f"'{site.text}' is a keyword of Koord; choose another name"
         return site.error(f"expected a name, found '{site.text}'", help)
     return None
 
@@ -154,7 +154,7 @@ def _expected(site: ErrorSite) -> Diagnostic:
     after = f" after '{shown(site.before[1])}'" if site.before is not None and site.before[1] else ""
     help = ""
     if site.ends and site.wants_expression and site.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
-        help = "a line goes on after '\\', inside brackets, or where the next one begins with 'and' or 'or'"
+        help = "a line continues after '\\', inside brackets, or if the next one begins with 'and' or 'or'"
     return site.error(f"expected {_list(site.expected)}{after}, {found}", help)
 
 

@@ -35,7 +35,7 @@ def misspelt_keyword(site: ErrorSite) -> Diagnostic | None:
     for token, choices in tries:
         meant = _near(token[1], choices) if token[0] == "NAME" else ""
         if meant:
-            message = f"'{shown(token[1])}' is no word of the language"
+            message = f"'{shown(token[1])}' is not a keyword of Koord"
             return site.error(message, f"did you mean '{meant}'?", place(token, token))
     return None
 

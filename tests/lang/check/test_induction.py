@@ -99,7 +99,7 @@ def test_no_state_defeats_what_is_proved_in_20000_programs() -> None:
 def not_established(turns: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
     begins = turns.first(turns.before)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(induction, "_shown", lambda candidate, flow: flow is begins or HELD(candidate, flow))
+        patch.setattr(induction, "_proved", lambda candidate, flow: flow is begins or HELD(candidate, flow))
         return KEPT(turns._replace(first=lambda flow: begins), candidates)
 
 
@@ -182,9 +182,9 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
     [
         ("kept", not_established),
         ("kept", not_kept),
-        ("_holds_behind", broken_off),
-        ("_around", nothing_in_loops),
-        ("_follow", no_continue),
+        ("_holds_after_loop", broken_off),
+        ("_after_inner_loop", nothing_in_loops),
+        ("_paths_through", no_continue),
     ],
 )
 def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -92,10 +92,7 @@ def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
 def _is_refuted(
     pending: list[Formula], rows: list[Linear], facts: dict[object, bool], defined: frozenset[Var], budget: list[int]
 ) -> bool:
-    """Return whether every branch of the formulas ends in a contradiction.
-
-    `budget[0]` limits further branches.
-    """
+    """Return whether every branch of the formulas ends in a contradiction. Tries at most `budget[0]` branches."""
     open_: list[Or] = []
     ways: list[tuple[Formula, ...]] = []
     limits: _Limits = {}

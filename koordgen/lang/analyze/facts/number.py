@@ -9,7 +9,7 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import FLOAT, Type
 
-RANGE = "a float reaches to about 1.8e308"
+RANGE = "a float is at most about 1.8e308"
 FUNCTIONS: dict[str, Callable[[float], float]] = {
     name: getattr(math, name) for name in ("sqrt", "log", "asin", "acos", "exp", "sin", "cos", "tan", "atan")
 }
@@ -28,10 +28,7 @@ def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
 
 
 def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
-    """Return the innermost part of an initial value that overflows to infinity, which no variable may be.
-
-    Or None.
-    """
+    """Return the innermost part of an initial value that is infinite, or None. No variable may be infinite."""
     for part in reversed(list(walk(value))):
         number = number_of(part, params) if isinstance(part, (ir.Binary, ir.Unary)) and part.type is FLOAT else None
         if number is not None and math.isinf(number):

@@ -37,7 +37,7 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) ->
     if value is not None and not value.terms and value.constant < 0:
         text = a.text(operand.span)
         help = f"{text}[len({text}) - {-value.constant}]" + (" is the last" if value.constant == -1 else "")
-        a.error("K036", f"an index never counts from the end, as {a.text(index.span)} would", index.span, help)
+        a.error("K036", f"{a.text(index.span)} is negative: an index does not count from the end", index.span, help)
         return False
     many, at = f"len({a.text(operand.span)})", a.text(index.span)
     if value is not None and size is not None:
@@ -91,7 +91,7 @@ def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
         if value.constant >= 0:
             return True
         help = f"write len(...) - {-value.constant}"
-        a.error("K036", f"an index never counts from the end, as {a.text(end.span)} would", end.span, help)
+        a.error("K036", f"{a.text(end.span)} is negative: an index does not count from the end", end.span, help)
         return False
     if value is not None and is_refuted(linear.less(value, ZERO), a):
         return True

@@ -20,7 +20,7 @@ _CHECKED_AT_RUN_TIME = "it is checked at run time: a robot for which it fails di
 
 def help_at_run_time(a: Analysis) -> str:
     """Return the help for an index or a divisor that may be wrong."""
-    return "let the formula say what robots it speaks of" if a.place in ("property", "assume") else _CHECKED_AT_RUN_TIME
+    return "restrict the formula to robots of the fleet" if a.place in ("property", "assume") else _CHECKED_AT_RUN_TIME
 
 
 def unproved_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
@@ -36,7 +36,7 @@ def unproved_side(value: Linear | None, size: Linear | None, index: str, many: s
 
 def missing_condition(open_: str) -> str:
     """Return the end of a message about an unproved condition; empty if the condition is long."""
-    return f": nothing says that {open_}" if 0 < len(open_) <= 60 else ""
+    return f": nothing shows that {open_}" if 0 < len(open_) <= 60 else ""
 
 
 def is_right_by_default(bad: Formula, a: Analysis) -> bool:

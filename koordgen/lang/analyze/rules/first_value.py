@@ -17,8 +17,8 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POISON, Type
 from koordgen.lang.source import Span
 
-_EXISTS = "write a value that exists: a first value is evaluated before the robots start"
-_FITS = "robots keep ints of 64 bits, floats up to about 1.8e308, and what the declared capacities hold"
+_EXISTS = "write a value that exists: an initial value is evaluated before the robots start"
+_FITS = "robots store ints of 64 bits, floats up to about 1.8e308, and as much as the declared capacities allow"
 
 
 class InitialValueFlaw(NamedTuple):
@@ -37,7 +37,7 @@ def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> 
     """Report an initial value that does not exist, or that robots cannot store."""
     wrong = flaw_of(value, type_, {name: param.default for name, param in a.params.items()})
     if wrong is not None:
-        what = f"the first value of {name}" if wrong.span is None else a.text(wrong.span)
+        what = f"the initial value of {name}" if wrong.span is None else a.text(wrong.span)
         a.error("K057", f"{what} {wrong.reason}", wrong.span or value.span, wrong.help)
 
 

@@ -37,11 +37,14 @@ def is_hidden(
         return False
     other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # name the first one in the text
     name, earlier = event.name, other.event.name
-    label = Label(other.event.span, f"stands before, and {'is always enabled' if other.always else 'asks for no more'}")
-    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, {earlier}'s does"
+    label = Label(
+        other.event.span,
+        f"earlier event {'that is always enabled' if other.always else 'with a guard that holds, too'}",
+    )
+    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, that of {earlier} holds"
     if ahead:
         message = f"the event {name} can never run: {why}, and {earlier} has priority"
-        help = f"write it before {earlier}, or let {earlier} ask for more"
+        help = f"move it before {earlier}, or make the guard of {earlier} stricter"
     else:
         message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
         help = (

@@ -9,7 +9,7 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import INT
 from koordgen.lang.source import Span
 
-_TAKES = {"sqrt": "numbers from 0 up", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
+_TAKES = {"sqrt": "numbers of at least 0", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
 _TAKES["acos"] = _TAKES["asin"]
 
 
@@ -19,14 +19,14 @@ def check_power(value: ir.Binary, a: Analysis) -> None:
         _check_exponent(value.right, value.span, a)
         return
     base = number_of(value.left)
-    _check_value(value, "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only", a)
+    _check_value(value, "0 has no negative power" if base == 0 else "a negative number only has integral powers", a)
 
 
 def _check_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
     value = term(exponent, a.flow) if a.flow is not None else None
     if value is not None and not value.terms and value.constant < 0:
         help = "with a float on one side it is a float: 2.0 ** -1"
-        a.error("K012", f"an int to the power of {value.constant} is no int", span, help)
+        a.error("K012", f"an int to the power of {value.constant} is not an int", span, help)
 
 
 def check_function(value: ir.Builtin, a: Analysis) -> None:

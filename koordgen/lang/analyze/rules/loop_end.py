@@ -18,7 +18,7 @@ from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
-_HELP = "a round must end: let the condition compare a number that each way through the loop moves on by a step"
+_HELP = "a round must end: compare a number in the condition, and let every path through the loop change it by a step"
 
 
 class _Wrong(Exception):

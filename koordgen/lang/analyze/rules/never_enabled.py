@@ -28,8 +28,8 @@ def can_run(event: decl.Event, guard: Condition, first: Sequence[AnalysedEvent],
     failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
     if failed and unsat((guard.formula, *failed)):
         labels = tuple([Label(other.event.span, "has priority") for other in nearest])
-        message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
-        reporter.warn("K042", message, event.span, "write it before these, or let them ask for more", labels)
+        message = f"the event {name} can never run: its guard holds only if that of an event with priority holds"
+        reporter.warn("K042", message, event.span, "move it before these events, or make their guards stricter", labels)
         return False
     return True
 

@@ -41,7 +41,7 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
         who = f"only {makers[own][0]} makes" if len(makers[own]) == 1 else "only events that can never run make"
         old, new = starts[own], not starts[own]
         message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
-        help = f"let init or another event make it {new}, or ask for '{own if old else f'not {own}'}'"
+        help = f"set it to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
         reporter.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
 
 

@@ -116,8 +116,8 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
     args = skip(node, c)
     if name == "range":
-        help = "it stands in a loop: 'for i in range(n):'"
-        return c.error("K017", "range(...) is no value", node.span, help, (), *args)
+        help = "use it in a loop: 'for i in range(n):'"
+        return c.error("K017", "range(...) is not a value", node.span, help, (), *args)
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
         return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
     if names_a_value(name, c):
@@ -126,7 +126,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     if name in c.broken or name in c.owners:
         return c.poison(node.span, *args)
     if is_event(name, c):
-        help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
+        help = "a robot chooses its events by their guards; move code that several events share into a 'fun'"
         return c.error("K017", f"{name} is an event and is not called", function.span, help, (), *args)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
     help = c.suggestion(
@@ -150,7 +150,7 @@ def positional_arguments(
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
             args = skip(node, c)
-            help = "names stand before the values of a record's fields only"
+            help = "only fields of records are given by name"
             return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
         args = skip(node, c)
@@ -272,7 +272,7 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
-        message = f"{name} changes {text}: it has no place within an expression"
+        message = f"{name} changes {text}: it cannot be used within an expression"
         return c.error("K027", message, node.span, help, (), *parts)
     no_method(operand, function, c)
     return c.poison(node.span, *parts)
@@ -303,7 +303,7 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
         methods = methods_of(type_)
         help = c.suggestion(name, methods) or (f"{with_article(type_)} has {', '.join(methods)}" if methods else "")
         if word == "string":
-            help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
+            help = "join strings with '+', cut them with s[a:b], search them with 'in'; str(...) makes a string"
     c.error("K015", f"{with_article(type_)} has no method {name}", function.name_span, help)
 
 
@@ -321,7 +321,7 @@ def _function(
     if c.place == "constant":
         return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
     if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
-        message = f"{name} is declared by 'spec fun': it has a meaning in properties only"
+        message = f"{name} is declared by 'spec fun': it can only be used in properties"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
     if c.function:
@@ -352,10 +352,10 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     if len(nodes) == 2:
         obstacles = check_expr(nodes[1], c, _OBSTACLES[0])
         if not any(same_type(obstacles.type, type_) for type_ in _OBSTACLES):
-            obstacles = argument(obstacles, _OBSTACLES[1], "what is to be avoided", c)
+            obstacles = argument(obstacles, _OBSTACLES[1], "the second argument", c)
         args.append(obstacles)
     if c.place == "assume" and module.name != c.module:
-        message = f"an assumption speaks of its module's ports, params and pid only, not of {name}"
+        message = f"an assumption can only use its module's ports, params and pid, not {name}"
         return c.error("K054", message, node.span, "", (), *args)
     if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
@@ -389,7 +389,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         if isinstance(arg, ast.Keyword):
             name, value, span, named = arg.name, arg.value, arg.span, True
         elif named:
-            c.error("K014", "a value without a name stands behind one with a name", arg.span, takes)
+            c.error("K014", "a value without a name follows one with a name", arg.span, takes)
             poisoned = True
             continue
         else:
@@ -399,7 +399,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
     if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
-        message = f"{type_.name} lacks {', '.join(missing)}: in the first value of a field it has no first values yet"
+        message = f"{type_.name} lacks {', '.join(missing)}: its initial values are unknown in a field's initial value"
         help = f"give each field of {type_.name} a value here"
         return c.error("K014", message, node.span, help, (), *given.values())
     first = dict(zip(names, record.defaults, strict=False))

@@ -138,9 +138,9 @@ def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | N
     if wanted is POISON:
         return c.poison(node.span)
     if wanted is not None:
-        return c.error("K012", f"{with_article(wanted)} is wanted here, not {text}", node.span)
-    help = f"give it one: '{example} name = {text}'"
-    return c.error("K051", f"nothing here tells the type of {text}", node.span, help)
+        return c.error("K012", f"{with_article(wanted)} is expected here, not {text}", node.span)
+    help = f"declare its type: '{example} name = {text}'"
+    return c.error("K051", f"nothing here determines the type of {text}", node.span, help)
 
 
 def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
@@ -185,7 +185,7 @@ def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
     if port is None or index.type is POISON:
         return c.poison(node.span, index)
     if port.direction not in ("sensor", "actuator"):
-        return c.error("K054", f"{module.name}.{port.name} has no value that a property could speak of", node.span)
+        return c.error("K054", f"{module.name}.{port.name} has no value that a property can read", node.span)
     return ir.PortOf(module.name, port.name, index, port.type, node.span)
 
 
@@ -234,7 +234,7 @@ def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context
             return c.error("K030", message, node.span)
         case _:
             help = f"write [0] to [{len(items) - 1}]"
-            return c.error("K017", "the index of a tuple is a number that is written out", node.index.span, help)
+            return c.error("K017", "the index of a tuple must be a literal number", node.index.span, help)
 
 
 def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.Expr:
@@ -248,7 +248,7 @@ def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.
 def _part_help(text: str, type_: Type) -> str:
     if type_ is POINT:
         return f"a Point's coordinates are {text}.x, {text}.y and {text}.z"
-    return "a Set has no order; 'for x in s' goes through it" if isinstance(type_, Sequence) else ""
+    return "a Set has no order; 'for x in s' iterates over it" if isinstance(type_, Sequence) else ""
 
 
 def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -279,12 +279,12 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
         return c.poison(span, item, values)
     held = _element_type(values.type)
     if held is None:
-        help = "a distance says whether two points are near" if values.type is POINT else ""
+        help = "compare the distance of the points" if values.type is POINT else ""
         return c.error(
             "K012", f"'{op}' does not apply to {with_article(values.type)}", values.span, help, (), item, values
         )
     if values.type == STRING or held is POINT or isinstance(values.type, MapOf):
-        what = f"what is looked for in {with_article(values.type)}"
+        what = f"the value to look for in {with_article(values.type)}"
     else:
         what = f"an element of this {values.type.name if isinstance(values.type, Sequence) else 'variable'}"
     item = argument(item, held, what, c)
@@ -317,7 +317,7 @@ def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
     if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
         return values
     help = f"write range({c.text(node.span)})" if values.type is INT else ""
-    return c.error("K012", f"{with_article(values.type)} has no elements to run over", node.span, help, (), values)
+    return c.error("K012", f"{with_article(values.type)} has no elements to iterate over", node.span, help, (), values)
 
 
 def elements(values: ir.Expr) -> Type:
@@ -338,7 +338,7 @@ def _range(node: ast.Call, c: Context) -> ir.Expr:
         return c.poison(node.span, *args)
     step = _step(args[2]) if len(args) == 3 else 1
     if not step:
-        return c.error("K012", "the step of a range is a number that is written out, and not 0", args[2].span)
+        return c.error("K012", "the step of a range must be a literal number other than 0", args[2].span)
     start = args[0] if len(args) > 1 else ir.Const(0, INT, node.span)
     return ir.Range(start, args[1] if len(args) > 1 else args[0], step, _INTS, node.span)
 
@@ -356,13 +356,13 @@ def _step(node: ir.Expr) -> int:
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Check a quantifier. One with several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume") and c.entry is None:
-        help = "a loop goes through them: 'for i in ID:'"
-        message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
+        help = "use a loop: 'for i in ID:'"
+        message = f"'{node.kind}' is only allowed in properties, contracts and loop invariants"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
     c.scopes.append({})
     temps = [declare(name.name, elements(domain), name.span, c) for name in node.names]
-    body = condition(node.body, c, f"what follows '{node.kind}'")
+    body = condition(node.body, c, f"the formula of '{node.kind}'")
     c.scopes.pop()
     wrong = domain.type is POISON or body.type is POISON or None in temps
     for temp in reversed(temps):

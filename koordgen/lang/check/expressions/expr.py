@@ -67,8 +67,8 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
     if node.op == "<<":
-        help = "it is a statement of its own: 'Log.stdout << a << b'"
-        return c.error("K056", "'<<' sends to a stream and has no value", node.span, help)
+        help = "write it as a statement: 'Log.stdout << a << b'"
+        return c.error("K056", "'<<' writes to a stream and has no value", node.span, help)
     if node.op == "+" and is_display(node.left):
         if is_display(node.right):
             left = check_expr(node.left, c, wanted)
@@ -119,15 +119,15 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
     if op == "+" and STRING in (left.type, right.type):
         help = _help_for_joined(left, right, c)
     elif op == "%" and left.type == STRING:
-        help = "texts are joined: 'n is ' + str(n)"
+        help = "join strings: 'n is ' + str(n)"
     elif BOOL in (left.type, right.type):
         held = left if left.type is BOOL else right
         help = "bools are joined with 'and' and 'or'"
-        help = help if left.type == right.type else f"a number of it is '(1 if {c.text(held.span)} else 0)'"
+        help = help if left.type == right.type else f"to make a number of it, write '(1 if {c.text(held.span)} else 0)'"
     elif op == "*" and left.type is POINT and right.type is POINT:
         help = "multiply their coordinates: p.x * q.x + p.y * q.y"
     elif op in ("+", "-") and POINT in (left.type, right.type):
-        help = "to a Point a Point is added: p + Point(x, y, z)"
+        help = "add a Point to a Point: p + Point(x, y, z)"
     elif op == "+" and isinstance(left.type, Sequence) and same_type(left.type.element, right.type):
         verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
         help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
@@ -175,13 +175,13 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
     for op, right_node in node.rest:
         if op in ("in", "not in"):
             help = "join the two with 'and'"
-            return c.error("K012", f"'{op}' has no place in a chain of comparisons", node.span, help)
+            return c.error("K012", f"'{op}' is not allowed in a chain of comparisons", node.span, help)
         if left is None:
             left, right = _sides(before, right_node, c)
         else:
             if has_call(left, (ir.PortCall,)):
-                help = "keep its answer in a variable first"
-                return c.error("K027", "a call of a port has no place within a chain", left.span, help)
+                help = "save its answer in a variable first"
+                return c.error("K027", "a call of a port is not allowed within a chain", left.span, help)
             right = check_expr(right_node, c, left.type)
         pair = _pair(op, left, right, node.span, c)
         poisoned = poisoned or pair.type is POISON
@@ -225,7 +225,7 @@ def _help_for_compared(left: ir.Expr, right: ir.Expr, c: Context) -> str:
         if other.type == STRING and value.type in NUMBERS:
             return f"write str({c.text(value.span)})"
         if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
-            return help_for_bool(value, c).replace("compare it", "a bool of it is")
+            return help_for_bool(value, c).replace("compare it", "make a bool of it")
     return ""
 
 

@@ -48,36 +48,36 @@ from koordgen.lang.syntax.decl import Effect, Event, Init, Priority, Section
 from koordgen.lang.syntax.decl import Function as Fun
 
 _MEANT = {"me": "pid"}
-_NOTHING = "Koord has no empty value: let a bool, or a value that means nothing else, say it"
+_NOTHING = "Koord has no empty value: use a bool, or a special value such as -1"
 FOREIGN = {
     "None": _NOTHING,
     "null": _NOTHING,
     "nil": _NOTHING,
-    "self": "a variable stands by its own name; this robot's index is pid",
-    "this": "a variable stands by its own name; this robot's index is pid",
-    **dict.fromkeys(("math", "np", "numpy"), "functions and constants stand by their own names: sqrt(x), sin(x), pi"),
+    "self": "write a variable by its name alone; this robot's index is pid",
+    "this": "write a variable by its name alone; this robot's index is pid",
+    **dict.fromkeys(("math", "np", "numpy"), "write functions and constants by their names alone: sqrt(x), sin(x), pi"),
 }
 # Constants of Python's math -> Koord.
 _MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
 # Functions of other languages -> help that says how to write it in Koord.
 NO_FUNCTIONS = {
-    "int": "a float never becomes an int by itself: floor, ceil and round make one",
-    "float": "an int becomes a float by itself",
+    "int": "a float is never converted to an int automatically: use floor, ceil or round",
+    "float": "an int is converted to a float automatically",
     "bool": "compare it: '!= 0'",
-    "print": "a stream shows text: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
+    "print": "write to a stream: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
     "pow": "write a ** b",
-    "enumerate": "count with 'for i in range(len(xs)):'",
-    "zip": "count with 'for i in range(len(xs)):'",
+    "enumerate": "write 'for i in range(len(xs)):'",
+    "zip": "write 'for i in range(len(xs)):'",
     "list": "write [a, b]",
     "set": "write {a, b}",
     "dict": "write {k: v}",
-    "any": "a loop finds one: for x in xs: if x: found = True",
-    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
+    "any": "use a loop: for x in xs: if x: found = True",
+    "all": "use a loop: for x in xs: if not x: good = False",
     "map": "fill a list in a loop: for x in xs: ys.append(...)",
     "filter": "fill a list in a loop: for x in xs: ys.append(...)",
-    "isinstance": "a variable's type is the one it is declared with",
-    "type": "a variable's type is the one it is declared with",
-    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
+    "isinstance": "a variable always has its declared type",
+    "type": "a variable always has its declared type",
+    "input": "a robot's inputs come from ports: 'using Module:' with 'sensors:'",
 }
 # Type -> method names of other languages -> the type's method.
 HABITS: dict[str, dict[str, str]] = {
@@ -96,7 +96,7 @@ FIELDS: dict[str, dict[str, Type]] = {
 }
 _LOOP = "keep it in a variable that is declared before the loop"
 _LENGTHS = ("length", "size", "len", "count", "Length", "Count")
-_INSTEAD_OF_A_ROBOT = {"pid": "name robots: 'forall i in ID:'"}
+_INSTEAD_OF_A_ROBOT = {"pid": "name the robots: 'forall i in ID:'"}
 
 
 def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -158,13 +158,13 @@ def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr 
         case "constant":
             return c.error("K025", f"an initial value cannot depend on {what}{name}", span, "set it in init")
         case "function" | "contract":
-            message = f"a function reads its parameters and params only: {what}{name} is neither"
-            return c.error("K027", message, span, "hand it over as an argument")
+            message = f"a function can only read its parameters and params: {what}{name} is neither"
+            return c.error("K027", message, span, "pass it as an argument")
         case "property":
             help = _INSTEAD_OF_A_ROBOT.get(name, f"write {name}[i], with 'forall i in ID:' before it")
-            return c.error("K054", f"a property does not say whose {name} this is", span, help)
+            return c.error("K054", f"a property must name the robot: it does not say whose {name} this is", span, help)
         case _:
-            message = f"an assumption speaks of its module's ports, params and pid only, not of {what}{name}"
+            message = f"an assumption can only use its module's ports, params and pid, not {what}{name}"
             return c.error("K054", message, span)
 
 
@@ -182,7 +182,7 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     if name in NAMED or name in GENERIC:
         return c.error("K017", f"{name} is a type, not a value", span)
     if name == "range":
-        return c.error("K017", "range is no value", span, "it stands in a loop: 'for i in range(n):'")
+        return c.error("K017", "range is not a value", span, "use it in a loop: 'for i in range(n):'")
     if name in VALUES:
         return check_expr(old_name(node, c), c)
     return undefined(name, span, c)
@@ -205,7 +205,7 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if is_event(name, c):
-        help = "a robot chooses its events by their guards; a variable can tell that one has run"
+        help = "a robot chooses its events by their guards; use a variable to record that an event has run"
         return c.error("K017", f"{name} is an event, not a value", span, help)
     if report_ended(name, span, c):
         return c.poison(span)
@@ -254,8 +254,8 @@ def report_ended(name: str, span: Span, c: Context) -> bool:
                 place, help = statement.span, _LOOP
             case _:
                 continue
-        labels = (Label(place, "declared here, and gone with the block"),)
-        c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
+        labels = (Label(place, "declared here, in a block that has ended"),)
+        c.error("K010", f"{name} is not defined here: its block has ended", span, help, labels)
         return True
     return False
 
@@ -349,12 +349,12 @@ def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
 
 def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
     if c.place != "assume":
-        help = "primed is what a port may be in the next delta: 'assume position' in Rect(position, target)'"
-        return c.error("K054", "a prime has a meaning under 'assume' only", node.span, help)
+        help = "a primed port has its value during the next delta: 'assume position' in Rect(position, target)'"
+        return c.error("K054", "a prime can only be used under 'assume'", node.span, help)
     value = check_expr(node.value, c)
     if isinstance(value, ir.PortRead) and not value.primed:
         return replace(value, primed=True, span=node.span)
-    return value if value.type is POISON else c.error("K054", "a prime follows the name of a port", node.span)
+    return value if value.type is POISON else c.error("K054", "a prime must follow the name of a port", node.span)
 
 
 def fields_of(type_: Type) -> dict[str, Type]:
@@ -386,7 +386,7 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
     elif name in methods_of(type_):
         help = f"it is a method: {text}.{name}(...)"
     elif isinstance(type_, PerRobot):
-        help = f"{text}[i] is robot i's"
+        help = f"{text}[i] is the value of robot i"
     elif isinstance(type_, MapOf):
         help = f"the value of a key is {text}[key]"
     else:

@@ -50,7 +50,7 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     order, cycles = ordered({name: _field_type_names(node) for name, node in owned.items()})
     for cycle in cycles:
         way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
-        help = "a record holds values, not references; an index into a list can stand for one"
+        help = "a record holds values, not references; use an index into a list instead"
         c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
     inside = {name for cycle in cycles for name in cycle}
     sizes: dict[str, tuple[int, int]] = {}
@@ -90,7 +90,7 @@ def _record_type(
     sizes[node.name] = parts, depth
     if parts > _MOST_PARTS or depth > _DEEPEST:
         much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
-        c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
+        c.error("K007", f"the record {node.name} holds {much}", node.span, "split it into several records")
         return fields, None
     if any(type_ is POISON for _, type_ in fields):
         return fields, None
@@ -108,7 +108,7 @@ def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
     return tuple(records)
 
 
-_NO_PARAM_IN_FIELD = "a field's first value cannot depend on a param"
+_NO_PARAM_IN_FIELD = "a field's initial value cannot depend on a param"
 _NO_PARAM_IN_PARAM = "a param's default cannot depend on another param"
 
 
@@ -217,6 +217,6 @@ def _initial(
     initial = converted(check_expr(value, c, type_), type_, node.name, c)
     too_much = excess(initial, type_)
     if too_much:
-        help = "declare more room with 'max'"
-        return c.error("K053", f"the first value of {node.name} has {too_much}", value.span, help, (), initial)
+        help = "declare a larger capacity with 'max'"
+        return c.error("K053", f"the initial value of {node.name} has {too_much}", value.span, help, (), initial)
     return initial

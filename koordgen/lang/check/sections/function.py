@@ -81,7 +81,7 @@ def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
         else:
             message = f"the function {cycle[0]} calls itself: {cycle[0]} calls {', which calls '.join(cycle[1:])}"
             message += f", which calls {cycle[0]}"
-        c.error("K026", message, checked[cycle[0]].span, "a loop does it within bounds")
+        c.error("K026", message, checked[cycle[0]].span, "use a loop instead of recursion")
     return tuple([checked[name] for name in order])
 
 
@@ -182,7 +182,7 @@ def _extern(node: ast.ExternFunction, c: Context) -> decl.ExternFunction:
     requires = _formulas(node, "requires", c)
     for parameter in node.parameters:
         if parameter.name == "result" and node.contracts:
-            message = "result is what the function yields, in its contract"
+            message = "in a contract, result is the function's result"
             c.error("K011", message, parameter.span, "choose another name")
     c.scopes.append({"result": Temp(c.mint("result"), entity.result, node.span)})
     ensures = _formulas(node, "ensures", c)

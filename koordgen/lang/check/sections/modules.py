@@ -69,7 +69,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
             position = True
         elif mark.word == "at":
             if held:
-                c.error("K059", f"{port.name} has '{held}' as its first value already", mark.span)
+                c.error("K059", f"{port.name} already has '{held}' as its initial value", mark.span)
             held = mark.name if _has_sensor(mark, port.type, ports, c) else held
         elif _has_sensor(mark, BOOL, ports, c):
             clears.append(mark.name)
@@ -79,12 +79,16 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
 def _mark_error(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
     """Return message, span and help of the error if a port cannot have the mark; otherwise None."""
     if mark.word != "as":
-        help = f"a command is an actuator's, and {port.name} is none"
-        return None if port.direction == "actuator" else (f"'{mark.word}' belongs to an actuator", mark.span, help)
+        help = f"{port.name} is not an actuator, so it gets no commands"
+        return (
+            None
+            if port.direction == "actuator"
+            else (f"'{mark.word}' is only allowed for an actuator", mark.span, help)
+        )
     if mark.name != "position":
-        return f"a sensor can stand for the robot's position, not for '{mark.name}'", mark.span, "write 'as position'"
+        return f"a sensor can be the robot's position, not '{mark.name}'", mark.span, "write 'as position'"
     if port.direction != "sensor" or port.type not in (POINT, POISON):
-        return f"{port.name} cannot be the robot's position, which is a sensor of type Point", mark.span, ""
+        return f"{port.name} cannot be the robot's position: only a sensor of type Point can", mark.span, ""
     return None
 
 
@@ -109,20 +113,23 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
 def _direction(
     node: ast.Port, type_: Type, under: Literal["sensor", "actuator", ""], name: str, c: Context
 ) -> Direction:
-    help = "it stands directly under 'using'"
+    help = "declare it directly under 'using'"
     if type_ is PLANNER:
         if under == "actuator":
-            c.error("K017", f"{name} is called, not written: a PathPlanner is no actuator", node.span, help)
+            c.error("K017", f"{name} is called, not written: a PathPlanner is not an actuator", node.span, help)
         return "callable"
     if type_ is STREAM:
         if under == "sensor":
-            c.error("K017", f"{name} is written, not read: a stream is no sensor", node.span, help)
+            c.error("K017", f"{name} is written, not read: a stream is not a sensor", node.span, help)
         return "stream"
     if not under:
-        help = f"it stands under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
+        help = f"declare it under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
         if type_ is not POISON:
             c.error(
-                "K017", f"{name} is {with_article(type_)}; only a PathPlanner or a stream stands here", node.span, help
+                "K017",
+                f"{name} is {with_article(type_)}; only a PathPlanner or a stream is allowed here",
+                node.span,
+                help,
             )
         return "sensor"
     return under

@@ -73,7 +73,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     kept = known and not node.op and span.line == span.end_line and len(text) <= 40
     help = declaration(target.name, str(type_) if known else "Type", text if kept else "...")
     if c.place in ("init", "effect"):
-        help += "; one that is to last stands under 'local:'"
+        help += "; declare it under 'local:' to keep it for later events"
     c.found[at] = replace(c.found[at], help=help)
     return value
 
@@ -191,7 +191,7 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
             help = f"assign it: x = {c.text(node.span)}"
             c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
         else:
-            c.error("K024", "this is a value and does nothing", node.span)
+            c.error("K024", "this value is not used", node.span)
 
 
 # Streams
@@ -214,10 +214,10 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
         items = (*items, check_expr(head, c))
         if items[-1].type is not POISON:
             help = "declare one: 'using Log:' with 'stream stdout' under it"
-            c.error("K056", f"{c.text(head.span)} is no stream", head.span, help)
+            c.error("K056", f"{c.text(head.span)} is not a stream", head.span, help)
     elif port is not None and port.type is STREAM:
-        help = "do it in the event that calls the function"
-        c.error("K027", "a function changes nothing: it cannot write to a stream", span, help)
+        help = "write to it in the event that calls the function"
+        c.error("K027", "a function has no effects: it cannot write to a stream", span, help)
     elif port is not None and port.type is not POISON:
         c.error("K056", f"{module.name}.{port.name} is {with_article(port.type)}, not a stream", head.span)
     out.append(draft.WrongStmt(items, span))
@@ -230,7 +230,7 @@ def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
         return value
     if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
         return ir.Builtin("str", (value,), STRING, value.span)
-    help = "show its parts, or its length"
+    help = "write its parts, or its length"
     return c.error("K056", f"a stream cannot show {with_article(type_)}", value.span, help, (), value)
 
 
@@ -255,11 +255,11 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
     It makes the whole event a transaction, so its block follows the `draft.Atomic` marker.
     """
     if c.atomic:
-        c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
+        c.error("K045", "'atomic' is nested in 'atomic'", node.span, "the outer one covers this block: remove this one")
     elif c.place == "function":
-        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around what calls it in an event")
+        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around its call in an event")
     elif c.place == "init":
-        help = "no robot may read shared variables yet, so nothing can be lost: leave it out"
+        help = "no robot may read shared variables yet, so nothing can be lost: remove it"
         c.error("K045", "init cannot be atomic", node.span, help)
     out.append(draft.Atomic(node.span))
     c.atomic += 1
@@ -270,7 +270,7 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
 def _return(node: tree.Return, c: Context, out: Out) -> None:
     if c.place != "function":
         value = check_expr(node.value, c)
-        c.error("K028", "'return' has no function to leave", node.span, "'stop' holds a robot for good")
+        c.error("K028", "'return' is outside of a function", node.span, "'stop' stops a robot for good")
     else:
         value = check_expr(node.value, c, c.result)
         if c.result is None:
@@ -281,13 +281,13 @@ def _return(node: tree.Return, c: Context, out: Out) -> None:
 
 def _break(node: tree.Break, c: Context, out: Out) -> None:
     if not c.loops:
-        c.error("K028", "'break' has no loop to leave", node.span)
+        c.error("K028", "'break' is outside of a loop", node.span)
     out.append(stmt.Break(node.span))
 
 
 def _continue(node: tree.Continue, c: Context, out: Out) -> None:
     if not c.loops:
-        c.error("K028", "'continue' has no loop to go on with", node.span)
+        c.error("K028", "'continue' is outside of a loop", node.span)
     out.append(stmt.Continue(node.span))
 
 

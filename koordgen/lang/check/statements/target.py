@@ -84,7 +84,7 @@ def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
 
 def _no_target(node: ast.Expr, c: Context) -> None:
     if check_expr(node, c).type is not POISON:
-        help = "a loop assigns its elements one by one" if isinstance(node, ast.Slice) else ""
+        help = "assign its elements one by one in a loop" if isinstance(node, ast.Slice) else ""
         if isinstance(node, ast.Tuple):
             help = "assign each variable on a line of its own"
         c.error("K022", f"{c.text(node.span)} cannot be assigned", node.span, help)
@@ -302,7 +302,11 @@ def _pop(target: AssignmentTarget, node: ast.Call, c: Context) -> Update | None:
     read, type_, span = target.read, target.read.type, node.span
     assert isinstance(type_, Sequence)
     many = (0,) if type_.name == "Queue" else (0, 1)
-    help = "the front goes first" if type_.name == "Queue" else "pop() takes the last element, pop(i) that at i"
+    help = (
+        "pop() removes the front of a Queue"
+        if type_.name == "Queue"
+        else "pop() removes the last element, pop(i) the element at index i"
+    )
     nodes = positional_arguments(node, "pop", many, help, c)
     if not isinstance(nodes, tuple):
         return None
