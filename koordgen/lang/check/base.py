@@ -116,9 +116,11 @@ def report_mismatch(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Ex
     if type_ is INT and found is FLOAT:
         divides = isinstance(value, ir.Binary) and value.op == "/"
         help = (
-            "'/' gives a float; '//' of two ints gives an int" if divides else "a float never becomes an int by itself"
+            "'/' gives a float; '//' of two ints gives an int"
+            if divides
+            else "a float is never converted to an int automatically"
         )
-        help += "" if divides else ": floor, ceil and round make one"
+        help += "" if divides else ": use floor, ceil or round"
     elif same_type(type_, STRING):
         help = "str(...) makes a string of a number or a bool"
     elif type_ is POINT and isinstance(found, TupleOf):

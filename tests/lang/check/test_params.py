@@ -152,5 +152,5 @@ def test_a_value_on_the_command_line(text: str, value: params.Value) -> None:
 
 
 def test_broken_json_on_the_command_line() -> None:
-    with pytest.raises(params.BadParam, match="no JSON"):
+    with pytest.raises(params.BadParam, match="not JSON"):
         params.parse_value("[1, 2")
