@@ -40,7 +40,7 @@ def explanation(code: str) -> CodeExplanation:
     section = _sections(code[0]).get(code, "")
     parts = section.split(f"\n{_FENCE}")
     if len(parts) != 5:
-        raise InternalError(f"the explanation of {code} is not of the form it must have")
+        raise InternalError(f"the explanation of {code} does not have its five parts")
     before, wrong, between, right, _ = parts
     return CodeExplanation(
         code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right)

@@ -74,13 +74,13 @@ def upgraded(source: Source, check: Checker) -> Source:
         after, notes = _checked(result, check)
         if meaning is not None and after != meaning:
             raise InternalError(f"upgrading {source.path} would change its meaning; nothing was written")
-    raise InternalError(f"upgrading {source.path} comes to no end; nothing was written")
+    raise InternalError(f"upgrading {source.path} does not terminate; nothing was written")
 
 
 def _checked(source: Source, check: Checker) -> tuple[object, list[Diagnostic]]:
     """Return a program's meaning, and the diagnostics about its dialect that have edits."""
     tree, mistakes = parse(source)
     if any(d.severity == "error" for d in mistakes):
-        raise InternalError(f"{source.path} cannot be read any more: {mistakes[0].message}; nothing was written")
+        raise InternalError(f"{source.path} can no longer be parsed: {mistakes[0].message}; nothing was written")
     meaning, found = check(tree, source)
     return meaning, [d for d in found if d.code == DIALECT and d.edits]

@@ -18,20 +18,20 @@ PAGE = Path(__file__).parents[3] / "docs" / "grammar.md"
 
 _HEAD = """# Koord's grammar
 
-Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) says what each construct
-means. A program is a sequence of sections, each beginning at the left margin.
+Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) describes the meaning of
+each construct. A program is a sequence of sections, each beginning at the left margin.
 
-`"word"` stands for itself; `a*` none or more, `a+` one or more, `a?` one or none, `a | b` either. A `suite` of items is
-one on the header's line, or several on deeper lines, or both. NEWLINE ends a line outside of brackets that does not end
-in `\\`; INDENT and DEDENT stand where lines begin to be deeper and cease to be.
+`"word"` stands for itself; `a*` means none or more, `a+` one or more, `a?` one or none, `a | b` either. A `suite` of
+items is one item on the header's line, or several on indented lines, or both. NEWLINE ends a line outside of brackets
+that does not end in `\\`; INDENT and DEDENT stand where the indentation of lines increases and decreases.
 
 | | |
 |---|---|
-| NAME | a letter or `_`, then letters, digits, `_` (ASCII); no word of the language |
+| NAME | a letter or `_`, then letters, digits, `_` (ASCII); not a keyword |
 | GENERIC | `List`, `Map`, `Set`, `Queue` |
 | INT | digits, not beginning with 0 unless it is 0; at most 2^63 - 1 |
 | FLOAT | `1.5`, `.5`, `1e-3`, `2.5E+6` |
-| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; behind a name, `]`, `)`, `'` is a prime |
+| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; after a name, `]`, `)` or `'`, the mark `'` is a prime |
 """
 _RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
 

@@ -39,7 +39,7 @@ def is_hidden(
     name, earlier = event.name, other.event.name
     label = Label(
         other.event.span,
-        f"earlier event {'that is always enabled' if other.always else 'with a guard that holds, too'}",
+        f"earlier event, enabled {'in every state' if other.always else 'in all of these cases, too'}",
     )
     why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, that of {earlier} holds"
     if ahead:

@@ -349,7 +349,7 @@ def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
 
 def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
     if c.place != "assume":
-        help = "a primed port has its value during the next delta: 'assume position' in Rect(position, target)'"
+        help = "a prime means the port's value during the next delta: 'assume position' in Rect(position, target)'"
         return c.error("K054", "a prime can only be used under 'assume'", node.span, help)
     value = check_expr(node.value, c)
     if isinstance(value, ir.PortRead) and not value.primed:
