@@ -14,8 +14,8 @@ of it. A round in which one of ours had no update counts as one that was never c
 
 Raw UDP means blocking sockets, and the peers wait so, too. Nearly all of that time is to wake an idle core: with both
 sides polling without a pause it takes a fifth or less, which is printed and not judged. Ours looks for a datagram for
-0.2 ms at most before it sleeps, as long as that pays (see "Sockets" in docs/shared-memory.md): most of what it
-gains in the round trip comes of that.
+0.2 ms at most before it sleeps, as long as that pays (see "Sockets" in docs/explanation/shared-memory.md): most of what
+it gains in the round trip comes of that.
 
 Ours runs compiled, as on a robot after `--compile`; with `--interpreted` it does not.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FILE = re.compile(
-    r"(?<![\w/.{\-])((?:koordgen|targets|tests|runtime|benchmarks|tools)(?:/[\w\-]+)+\.(?:py|c|h|j2|md))\b"
+    r"(?<![\w/.{\-])((?:koordgen|targets|tests|runtime|benchmarks|tools|docs)(?:/[\w\-]+)+\.(?:py|c|h|j2|md))\b"
 )
 TEXTS = {".md", ".py", ".c", ".h", ".toml", ".j2", ".lark", ".js"}
 WRITTEN_THEN = ("docs/adr/", "CHANGELOG.md")  # of the layout of their day

@@ -1,4 +1,4 @@
-"""Write the tables of docs/sim.md that describe a trace, from the types and the comments of its schema.
+"""Write the tables of docs/reference/trace.md that describe a trace, from the types and the comments of its schema.
 
     python -m tools.trace_tables [--check]
 
@@ -11,11 +11,12 @@ from __future__ import annotations
 import ast
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SCHEMA, PAGE = ROOT / "koordgen/runtime/trace/schema.py", ROOT / "docs/sim.md"
+SCHEMA, PAGE = ROOT / "koordgen/runtime/trace/schema.py", ROOT / "docs/reference/trace.md"
 BEGIN, END = "<!-- tables of the schema: python -m tools.trace_tables -->", "<!-- end of the tables -->"
 NAMES = {
     "str": "text", "int": "integer", "float": "number", "bool": "boolean", "Any": "JSON", "Raw": "JSON",
@@ -54,7 +55,7 @@ def _table(node: ast.ClassDef, heads: dict[str, str], lines: list[str]) -> str:
     title = name.capitalize() if "header" in name else f"Record `{name}`" if is_record else f"Value: {name}"
     rows = [f"### {title}", ""]
     rows += [
-        " ".join((ast.get_docstring(node) or "").split()),
+        *textwrap.wrap(" ".join((ast.get_docstring(node) or "").split()), 100, break_on_hyphens=False),
         "",
         "| key | type | unit | meaning |",
         "|---|---|---|---|",

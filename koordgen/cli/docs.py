@@ -11,6 +11,14 @@ from koordgen.cli.base import console
 from koordgen.lang import resources
 
 LIST = "`koordgen docs` lists all pages"
+# Folders of the pages, with the line above their part of the list.
+KINDS = {
+    ".": "Start here",
+    "tutorial": "Tutorial: learn by doing, step by step",
+    "how-to": "How-to: steps for one task",
+    "reference": "Reference: all keys, options and rules, to look up",
+    "explanation": "Explanation: how it works, and why",
+}
 
 
 def docs(options: Namespace) -> int:
@@ -25,11 +33,13 @@ def docs(options: Namespace) -> int:
 
 
 def pages() -> dict[str, Path]:
-    """The file of each page, by name: the first page to read, the others by alphabet, then records of decisions."""
+    """Return the file of each page by name: README.md first, then each folder in alphabetic order, then the records of
+    decisions. No two pages of different folders have one name, so links in messages need no folder."""
     folder = resources.docs()
-    files = [*sorted(folder.glob("*.md")), *sorted(folder.glob("adr/*.md"))]
-    named = {path.relative_to(folder).with_suffix("").as_posix(): path for path in files}
-    return {"readme": folder.parent / "README.md", **named}
+    files = [path for kind in KINDS for path in sorted(folder.glob(f"{kind}/*.md"))]
+    named = {"map" if path.stem == "README" else path.stem: path for path in files}
+    decisions = {f"adr/{path.stem}": path for path in sorted(folder.glob("adr/*.md"))}
+    return {"readme": folder.parent / "README.md", **named, **decisions}
 
 
 def sections(text: str) -> dict[str, str]:
@@ -50,17 +60,18 @@ def _without_listings(text: str) -> str:
 
 
 def _listing() -> str:
-    titles = {name: _title(path) for name, path in pages().items() if "/" not in name}
-    width = max(map(len, titles))
-    return "\n".join(
-        [
-            "`koordgen docs PAGE` prints a page, `koordgen docs PAGE#SECTION` a section of it:",
-            "",
-            *(f"  {name:{width}}  {title}" for name, title in titles.items()),
-            "",
-            f"The pages are files, with pictures, in {resources.docs()}",
-        ]
-    )
+    listed = {name: path for name, path in pages().items() if "/" not in name}
+    width = max(map(len, listed))
+    lines = ["`koordgen docs PAGE` prints a page, `koordgen docs PAGE#SECTION` a section of it."]
+    for kind, title in KINDS.items():
+        own = {name: path for name, path in listed.items() if _kind(path) == kind}
+        lines += ["", f"{title}:", *(f"  {name:{width}}  {_title(path)}" for name, path in own.items())]
+    return "\n".join([*lines, "", f"The pages are files, with pictures, in {resources.docs()}"])
+
+
+def _kind(path: Path) -> str:
+    """Return the key of KINDS for a page; README.md above all folders is among the first."""
+    return path.parent.name if path.parent.name in KINDS else "."
 
 
 def _title(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The fleet file: who is in the fleet, where, and what every robot of it must know. See docs/fleet.md."""
+"""The fleet file: who is in the fleet, where, and what every robot of it must know. See docs/reference/fleet.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What planners are made from and asked: see docs/planners.md, which is for those who write their own.
+"""What planners are made from and asked: see docs/explanation/planners.md, which is for those who write their own.
 
 Metres, local ENU. All of it is frozen and goes through a pipe as MessagePack.
 """

@@ -96,7 +96,12 @@ def test_explain_a_word_of_a_report(words: str, capsys: pytest.CaptureFixture[st
 def test_every_reason_to_skip_has_one_name_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "skip"]) == 0
     assert tuple(re.findall(r"^- `(.*?)`:", capsys.readouterr().out, re.MULTILINE)) == runner.NAMES
-    page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("### Skipped rounds")[2].partition("\n### ")[0]
+    page = (
+        (ROOT / "docs/reference/cli.md")
+        .read_text(encoding="utf-8")
+        .partition("### Skipped rounds")[2]
+        .partition("\n### ")[0]
+    )
     assert tuple(re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)) == runner.NAMES
 
 

@@ -22,7 +22,11 @@ def test_docs_lists_the_pages_and_where_they_are(capsys: pytest.CaptureFixture[s
     assert cli.main(["docs"]) == 0
     out = capsys.readouterr().out
     listed = re.findall(r"^  ([a-z-]+)  +(\S.*)$", out, re.MULTILINE)
-    assert {name for name, _ in listed} == {"readme", *(p.stem for p in (ROOT / "docs").glob("*.md"))}
+    files = [p for p in (ROOT / "docs").rglob("*.md") if p.parent.name != "adr" and p.name != "README.md"]
+    names = [p.stem for p in files]
+    assert len(set(names)) == len(names), "`koordgen docs PAGE` names no folder"
+    assert [name for name, _ in listed if name in ("readme", "map")] == ["readme", "map"]
+    assert sorted(name for name, _ in listed) == sorted(["readme", "map", *names])
     assert dict(listed)["fleet"] == "The fleet file"
     assert str(ROOT / "docs") in out
 
@@ -30,7 +34,7 @@ def test_docs_lists_the_pages_and_where_they_are(capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("page", "file"),
     [
-        ("fleet", "docs/fleet.md"),
+        ("fleet", "docs/reference/fleet.md"),
         ("readme", "README.md"),
         ("adr/0001-order-of-events", "docs/adr/0001-order-of-events.md"),
     ],
@@ -49,7 +53,7 @@ def test_docs_prints_a_section_with_its_subsections(capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize(
     ("page", "near"),
-    [("fleets", "fleet"), ("docs/fleet.md", "fleet"), ("cli#fmtt", "cli#fmt"), ("../LICENSE", "")],
+    [("fleets", "fleet"), ("docs/reference/fleet.md", "fleet"), ("cli#fmtt", "cli#fmt"), ("../LICENSE", "")],
 )
 def test_docs_of_a_page_that_is_not_there(page: str, near: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["docs", page]) == 2

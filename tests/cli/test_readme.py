@@ -37,10 +37,42 @@ def test_every_extra_is_explained() -> None:
     assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(extras)
 
 
+SCREENS = 2 * 56  # lines
+OURS = {"bundle", "slot", "delta", "instance", "ledger", "skip", "discard", "view", "inductive", "harness", "round"}
+
+
+def test_what_is_read_first_fits_on_two_screens_and_needs_no_word_of_ours() -> None:
+    first = README.partition("\n| I want to |")[0]
+    assert len(first.splitlines()) <= SCREENS + 1
+    prose = re.sub(r"^```.*?^```$|`[^`\n]*`|\([^)]*\)", "", first, flags=re.MULTILINE | re.DOTALL)
+    assert not {word.rstrip("s") for word in re.findall(r"[a-z]+", prose.lower())} & OURS
+
+
+def test_what_is_read_first_is_what_happens(tmp_path: Path) -> None:
+    """The two commands, the program that they run, and the mistake."""
+    first = README.partition("\n| I want to |")[0]
+    hello, line = re.findall(r"^```koord\n(.*?)^```$", first, re.MULTILINE | re.DOTALL)
+    assert hello == (ROOT / "examples/hello/hello.koord").read_text()
+    two = commands(first.partition("## Two commands")[2].partition("\n## ")[0])
+    assert len(two) == 2
+    for command in two:
+        done = subprocess.run(
+            [sys.executable, "-m", "koordgen", *shlex.split(command)[1:]], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run/report.html").exists()
+    (tmp_path / "line.koord").write_text(line)
+    done = subprocess.run(
+        [sys.executable, "-m", "koordgen", "check", "line.koord"], cwd=tmp_path, capture_output=True, text=True
+    )
+    (mistake,) = re.findall(r"^```text\n(line\.koord.*?)^```$", first, re.MULTILINE | re.DOTALL)
+    assert done.returncode == 1 and done.stderr.startswith(mistake)
+
+
 @pytest.mark.slow
 def test_the_first_hour(tmp_path: Path) -> None:
-    """Every command up to real robots that names files which are there, one after the other."""
-    until = README.partition("## The first hour")[2].partition("## On real robots")[0]
+    """Every command of the section that names files which are there, one after the other."""
+    until = README.partition("## The first hour")[2].partition("\n## ")[0]
     followed = [line for line in commands(until) if not re.search(r"\b(APP|FILE|NAME)\b", line.partition(" #")[0])]
     assert len(followed) > 15
     python = shlex.quote(sys.executable)

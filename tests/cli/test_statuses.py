@@ -1,4 +1,4 @@
-"""Exit statuses mean the same in every command, as the table in docs/cli.md says."""
+"""Exit statuses mean the same in every command, as the table in docs/reference/cli.md says."""
 
 from __future__ import annotations
 
@@ -78,7 +78,12 @@ def test_every_command_is_tested() -> None:
 
 
 def test_the_table_in_the_docs_has_every_status() -> None:
-    page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("## Exit statuses")[2].partition("\n## ")[0]
+    page = (
+        (ROOT / "docs/reference/cli.md")
+        .read_text(encoding="utf-8")
+        .partition("## Exit statuses")[2]
+        .partition("\n## ")[0]
+    )
     listed = [int(status) for status in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)]
     assert listed == [
         console.HOLDS, console.WRONG, console.USAGE, console.VIOLATED, console.INCONCLUSIVE, console.SURROUNDINGS,

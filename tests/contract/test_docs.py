@@ -11,8 +11,8 @@ from koordgen.fleet import manifest
 from koordgen.lang.diagnostics import CATALOGUE
 from tests.lang.test_lang import found, wanted
 
-LANGUAGE = (Path(__file__).parents[2] / "docs/language.md").read_text(encoding="utf-8")
-PAGE = (Path(__file__).parents[2] / "docs/targets.md").read_text(encoding="utf-8")
+LANGUAGE = (Path(__file__).parents[2] / "docs/reference/language.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/reference/targets.md").read_text(encoding="utf-8")
 
 
 def rows(target: manifest.Target) -> list[str]:
@@ -39,7 +39,7 @@ def test_every_port_and_setting_is_documented(name: str) -> None:
     assert f"## {name}" in PAGE
     assert target.summary in PAGE
     for row in rows(target):
-        assert row in PAGE, f"docs/targets.md lacks:\n{row}"
+        assert row in PAGE, f"docs/reference/targets.md lacks:\n{row}"
 
 
 def test_nothing_is_documented_that_is_not_there() -> None:
@@ -50,7 +50,7 @@ def test_nothing_is_documented_that_is_not_there() -> None:
 
 def test_every_code_is_documented() -> None:
     root = Path(__file__).parents[2]
-    page = (root / "docs/errors.md").read_text(encoding="utf-8")
+    page = (root / "docs/reference/errors.md").read_text(encoding="utf-8")
     documented = dict(re.findall(r"^\| ([KFB]\d{3}) \| (.+) \|$", page, re.MULTILINE))
     used = {
         code

@@ -33,8 +33,12 @@ def commands(text: str) -> list[list[str]]:
     return [line for line in lines if line]
 
 
-def test_all_twelve_are_here() -> None:
-    assert len(NAMES) == 12
+ALONE = {"hello"}  # runs without a fleet file
+
+
+def test_all_thirteen_are_here() -> None:
+    assert len(NAMES) == 13
+    assert {name for name in NAMES if not (EXAMPLES / name / "fleet.yaml").exists()} == ALONE
 
 
 @each
@@ -54,6 +58,11 @@ def test_the_commands_of_its_readme(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`koordgen build` as it stands there writes a bundle for each robot; `koordgen sim` is of the same files."""
+    if name in ALONE:
+        check, sim = commands(readme(name))
+        assert check == ["koordgen", "check", f"examples/{name}/{name}.koord"]
+        assert sim[:4] == ["koordgen", "sim", check[2], "--lockstep"] and "--fleet" not in sim
+        return
     build, sim, *others = commands(readme(name))
     folder = f"examples/{name}"
     assert build[:3] == ["koordgen", "build", f"{folder}/{name}.koord"] and build[-2:] == ["-o", "build"]
@@ -75,6 +84,9 @@ def test_its_readme_names_what_is_there(name: str) -> None:
         assert (EXAMPLES / name / link).exists(), link
     for file in re.findall(r"`([a-z_]+\.(?:py|koord|yaml))`", text):
         assert (EXAMPLES / name / file).exists(), file
+    programs = "".join(path.read_text(encoding="utf-8") for path in (EXAMPLES / name).glob("*.koord"))
+    for invariant in re.findall(r"invariant\s`(\w+)`", text):
+        assert f"invariant {invariant}:" in programs, invariant
 
 
 @each
@@ -89,10 +101,10 @@ def test_the_page_shows_pictures_that_are_there() -> None:
 
 
 SECONDS = {
-    "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hvac": 10,
-    "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "task": 120,
+    "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hello": 15,
+    "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "task": 120,
 }  # fmt: skip
-ENDS = {"atomicsum", "crossing", "delivery", "election", "mapping", "rendezvous", "task"}
+ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "rendezvous", "task"}
 
 
 @pytest.mark.slow
@@ -100,8 +112,9 @@ ENDS = {"atomicsum", "crossing", "delivery", "election", "mapping", "rendezvous"
 def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
     """The run holds; the programs that have an end come to it within the time given."""
     folder = EXAMPLES / name
-    command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord"), "--fleet"]
-    command += [str(folder / "fleet.yaml"), "--duration", str(SECONDS[name]), "--seed", "3", "--lockstep"]
+    command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord")]
+    command += [] if name in ALONE else ["--fleet", str(folder / "fleet.yaml")]
+    command += ["--duration", str(SECONDS[name]), "--seed", "3", "--lockstep"]
     command += ["--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

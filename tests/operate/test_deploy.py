@@ -366,6 +366,6 @@ raise SystemExit(main())
 )  # fmt: skip
 def test_the_messages_of_the_page_are_those_of_the_code(words: str) -> None:
     operate = Path(__file__).parents[2] / "koordgen/operate"
-    page = (operate.parents[1] / "docs/deploy.md").read_text(encoding="utf-8")
+    page = (operate.parents[1] / "docs/how-to/deploy.md").read_text(encoding="utf-8")
     assert words in page.partition("\n## Messages\n")[2].partition("\n## Security\n")[0]
     assert any(words in path.read_text(encoding="utf-8") for path in operate.rglob("*.py"))

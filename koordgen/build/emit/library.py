@@ -69,8 +69,7 @@ _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 
 
 def imports(used: Container[str]) -> tuple[list[str], list[str], list[str]]:
-    """The import lines for what is used: of Python's library, of packages, of the runtime. A text may be given for its
-    names: then what it has in other words, too, is imported."""
+    """Return the import lines for the names that are used: of Python's library, of packages, of the runtime."""
     groups: tuple[list[str], list[str], list[str]] = ([], [], [])
     for module, names in _MODULES.items():
         found = [name for name in names if name in used]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from koordgen.lang.diagnostics import Diagnostic
     from koordgen.lang.source import Source
 
-# One table for every command; docs/cli.md prints it.
+# One table for every command; docs/reference/cli.md prints it.
 HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 70, 130
 
 

@@ -86,7 +86,7 @@ class Reachset:
         return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
-        """As docs/validate.md has it; numbers to a tenth of a millimetre."""
+        """As docs/reference/validate.md has it; numbers to a tenth of a millimetre."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity

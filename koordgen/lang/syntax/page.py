@@ -1,4 +1,4 @@
-"""Generator of docs/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`.
+"""Generator of docs/reference/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`.
 
 With `--check` it only reports whether the page is out of date. The page leaves out technical parts of the grammar:
 names of functions, marks for inlining, and rules for error recovery.
@@ -14,16 +14,21 @@ from pathlib import Path
 from koordgen.lang import resources
 from koordgen.lang.syntax.generate import GRAMMAR
 
-PAGE = Path(__file__).parents[3] / "docs" / "grammar.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "grammar.md"
 
 _HEAD = """# Koord's grammar
 
-Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language.md](language.md) describes the meaning of
+Made from `koordgen/lang/syntax/koord.lark` by `make generated`; [language](language.md) explains
 each construct. A program is a sequence of sections, each beginning at the left margin.
 
-`"word"` stands for itself; `a*` means none or more, `a+` one or more, `a?` one or none, `a | b` either. A `suite` of
-items is one item on the header's line, or several on indented lines, or both. NEWLINE ends a line outside of brackets
-that does not end in `\\`; INDENT and DEDENT stand where the indentation of lines increases and decreases.
+| sign | meaning |
+|---|---|
+| `"word"` | stands for itself |
+| `a*`, `a+`, `a?` | none or more, one or more, one or none |
+| `a` \\| `b` | either |
+| a `suite` of items | one on the header's line, or several on indented lines, or both |
+| NEWLINE | ends a line outside of brackets that does not end in `\\` |
+| INDENT, DEDENT | the indentation of lines increases, and decreases |
 
 | | |
 |---|---|
@@ -31,7 +36,7 @@ that does not end in `\\`; INDENT and DEDENT stand where the indentation of line
 | GENERIC | `List`, `Map`, `Set`, `Queue` |
 | INT | digits, not beginning with 0 unless it is 0; at most 2^63 - 1 |
 | FLOAT | `1.5`, `.5`, `1e-3`, `2.5E+6` |
-| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; after a name, `]`, `)` or `'`, the mark `'` is a prime |
+| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; after a name, `]`, `)`, `'` it is a prime |
 """
 _RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
 

@@ -15,7 +15,7 @@ from koordgen.runtime.values.clock import Clock
 
 # Names of the reasons for which a robot skips a round: the same in logs, traces, --status, summaries and reports.
 #
-# A reason is a name, or `NAME: detail`. docs/cli.md lists the names (a test compares); `koordgen explain skip` too.
+# A reason is a name, or `NAME: detail`. docs/reference/cli.md and `koordgen explain skip` list the names.
 
 NO_EVENT = "no event enabled"
 FAULT = "fault"

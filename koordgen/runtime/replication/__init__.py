@@ -92,7 +92,8 @@ How the code is used
 
 `Driver` does this, and is the only place that persists and sends. So the rule "persist before send" stands once, and a
 test can run a fleet of replicas in one process, with time, network and disk in its own hands (tests/model,
-tests/runtime/replication/scenarios). `docs/shared-memory.md` has guarantees, figures, limits and the wire format.
+tests/runtime/replication/scenarios). `docs/explanation/shared-memory.md` has guarantees, figures and limits,
+`docs/reference/wire.md` the wire format.
 
 Reading order: `messages`, `log`, `progress`, `apply`, `state_machine`, `views`, `schedule`, `rejoin`,
 `failure_detector`, `retransmission`, `replica`, `driver`.

@@ -7,8 +7,8 @@ seconds since the start of round 1 (negative before), and `pid`, the number of t
 metres, local ENU: x east, y north, z up. Yaw is in radians, counter-clockwise from east. Values of the program are JSON
 by the program's types; numbers that are not finite are null.
 
-The comment behind each field says what the key means, and in brackets its unit; docs/sim.md has the same as tables
-(`python -m tools.trace_tables`).
+The comment behind each field says what the key means, and in brackets its unit; docs/reference/trace.md has the same as
+tables (`python -m tools.trace_tables`).
 
 Agents write these types, simulators merge them, and all readers check what they read against them. Format koord-trace/1
 lacks `applications` and `application`: `upgraded` adds both, so each reader has the present format only.

@@ -1,9 +1,9 @@
 """Position feed: a robot's own pose, measured and sent by a base station (motion capture, or the simulator).
 
-One sealed MessagePack datagram a sample; see `Sample` for its fields and docs/feeds.md for the bytes. Sequence numbers
-only grow within a session (one run of the base station), so an old sample is never taken for a new one. The transit
-time of a sample is compared with the least one of its session, so a delay that grows is noticed, however slowly. A
-delay that all samples of a session have had cannot be seen.
+One sealed MessagePack datagram a sample; see `Sample` for its fields and docs/reference/wire.md for the bytes. Sequence
+numbers only grow within a session (one run of the base station), so an old sample is never taken for a new one. The
+transit time of a sample is compared with the least one of its session, so a delay that grows is noticed, however
+slowly. A delay that all samples of a session have had cannot be seen.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ class Invariants:
 
     def _compiled(self, property_: decl.Property) -> Callable[[_Fleet], bool]:
         body = f"def invariant(s):\n    return {expr.text(property_.formula, self.machine.names)}\n"
-        imports = "\n".join([line for group in library.imports(body) for line in group])
+        imports = "\n".join([line for group in library.imports(self.machine.names.used) for line in group])
         scope = dict(self.machine.scope)
         exec(compile(f"{imports}\n{body}", f"invariant {property_.name}", "exec"), scope)
         found: Callable[[_Fleet], bool] = scope["invariant"]

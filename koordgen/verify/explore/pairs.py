@@ -105,7 +105,7 @@ class Pairs:
 def _compiled(formula: Spread, machine: Machine) -> Callable[..., bool]:
     names = ", ".join([machine.names.temp(name) for name in formula.names])
     body = f"def invariant(s, {names}):\n    return {expr.text(formula.body, machine.names)}\n"
-    imports = "\n".join([line for group in library.imports(body) for line in group])
+    imports = "\n".join([line for group in library.imports(machine.names.used) for line in group])
     scope = dict(machine.scope)
     exec(compile(f"{imports}\n{body}", "invariants of pairs", "exec"), scope)
     found: Callable[..., bool] = scope["invariant"]

@@ -182,8 +182,9 @@ def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path
 
 @pytest.mark.slow
 def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Path) -> None:
-    """The published picture, with the very bundles, and the figures of docs/validate.md: asked for as its command does,
-    24 runs of up to 16 robots. Where they have changed, the page and docs/reachsets.png take those of the command."""
+    """The published picture, with the very bundles, and the figures of docs/reference/validate.md: asked for as its
+    command does, 24 runs of up to 16 robots. Where they have changed, the page and docs/pictures/reachsets.png take
+    those of the command."""
     root = Path(__file__).parents[3]
     fleet = str(root / "examples" / "lineform" / "fleet.yaml")
     flying, driving = reach.reachsets(fleet, (), reach.Asked((0.7, 0.4, 0.0), seed=1), Local(2), tmp_path / "out")
@@ -194,8 +195,8 @@ def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Pa
     assert flying.observed.overshoot > 0.03 > driving.observed.overshoot
     assert flying.overshoot > driving.overshoot + 0.03
     assert found.figures[0].area > found.figures[1].area
-    page = (root / "docs/validate.md").read_text(encoding="utf-8")
-    assert found.text() in page, f"docs/validate.md is out of date:\n{found.text()}"
+    page = (root / "docs/reference/validate.md").read_text(encoding="utf-8")
+    assert found.text() in page, f"docs/reference/validate.md is out of date:\n{found.text()}"
 
 
 def test_a_run_that_fails_is_told(platforms: dict[str, probe.Platform], tmp_path: Path) -> None:

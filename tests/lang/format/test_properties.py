@@ -26,7 +26,7 @@ def programs() -> dict[str, str]:
         for folder in ("examples", "tests")
         for path in (ROOT / folder).rglob("*.koord")
     }
-    pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("tests/lang/*.md"), *ROOT.glob("koordgen/lang/explain/*.md")]
+    pages = [*ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/lang/*.md"), *ROOT.glob("koordgen/lang/explain/*.md")]
     for page in pages:
         text = page.read_text(encoding="utf-8")
         for block in _BLOCK.finditer(text):

@@ -145,6 +145,6 @@ def test_lines(case: str) -> None:
 
 
 def test_the_pages_example_is_what_comes_out() -> None:
-    page = (Path(__file__).parents[3] / "docs/cli.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs/reference/cli.md").read_text(encoding="utf-8")
     written, wanted = re.findall(r"```koord\n(.*?)```", page, re.DOTALL)
     assert arranged(written) == wanted

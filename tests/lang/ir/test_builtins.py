@@ -15,7 +15,7 @@ from koordgen.runtime.program.program import Effects
 from tests.build.emit.generated import load, step
 from tests.lang.semantics.programs import event, local
 
-PAGE = (Path(__file__).parents[3] / "docs/language.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs/reference/language.md").read_text(encoding="utf-8")
 SUMS = {"sum"}  # whose meaning depends on the type of the elements
 # Functions with a float in their result that are exact on exact numbers: they choose, negate or put together.
 EXACT = {"abs", "min", "max", "Point", "Pose", "Grid", "Rect", "Ball"}

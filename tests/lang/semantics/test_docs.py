@@ -1,4 +1,4 @@
-"""docs/semantics.md names functions that are there."""
+"""docs/reference/semantics.md names functions that are there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from importlib import import_module
 from pathlib import Path
 
-WHOLE = (Path(__file__).parents[3] / "docs/semantics.md").read_text(encoding="utf-8")
+WHOLE = (Path(__file__).parents[3] / "docs/reference/semantics.md").read_text(encoding="utf-8")
 PAGE, CONDITIONS = WHOLE.split("## Verification conditions")
 PROVER = sorted((Path(__file__).parents[3] / "koordgen/verify/prove").rglob("*.py"))
 RULES = (

@@ -27,7 +27,7 @@ from tests.agree.kinds import random_value
 from tests.lang.test_lang import CASES
 
 ROOT = Path(__file__).parents[3]
-PAGES = [ROOT / "docs/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
+PAGES = [ROOT / "docs/reference/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
 
 
 def texts() -> Iterator[tuple[str, str]]:

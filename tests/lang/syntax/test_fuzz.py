@@ -38,7 +38,7 @@ def corpus() -> list[str]:
     """Every program that stands in examples, goldens and literate tests."""
     files = [*ROOT.glob("examples/*/*.koord"), *ROOT.glob("tests/golden/*/*.koord")]
     texts = [path.read_text(encoding="utf-8") for path in sorted(files)]
-    for page in [*sorted((ROOT / "tests/lang").glob("*.md")), ROOT / "docs/language.md"]:
+    for page in [*sorted((ROOT / "tests/lang").glob("*.md")), ROOT / "docs/reference/language.md"]:
         texts += re.findall(r"^```koord[^\n]*\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return texts
 

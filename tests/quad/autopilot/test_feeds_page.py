@@ -1,4 +1,4 @@
-"""docs/feeds.md names the parameters that the agent reads back, with the values that it wants."""
+"""docs/reference/feeds.md names the parameters that the agent reads back, with the values that it wants."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from targets.quad.autopilot.ardupilot import POSITIONING
 from targets.quad.autopilot.px4 import POSITIONING as OF_PX4
 
-PAGE = (Path(__file__).parents[3] / "docs/feeds.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs/reference/feeds.md").read_text(encoding="utf-8")
 
 
 def test_the_parameters_for_feeds_are_those_that_are_read_back() -> None:
@@ -25,7 +25,8 @@ def test_the_parameters_for_feeds_are_those_that_are_read_back() -> None:
     older = {k: v for k, v in read.items() if k not in documented}
     assert {k: v for k, v in read.items() if k in documented} == documented
     assert set(older) <= {("vision", "GPS_TYPE"), ("odometry", "GPS_TYPE")}
+    prose = " ".join(PAGE.split())
     for mode, wanted in ((m, w) for m, ws in OF_PX4.items() for w in ws):
         values = " (or ".join(f"{v:g}" for v in wanted.values)
         told = f"{values}{')' if '(' in values else ''}"
-        assert f"`{wanted.name}` {told}" in PAGE or f"{told} with `{mode}`" in PAGE
+        assert f"`{wanted.name}` {told}" in prose or f"{told} with `{mode}`" in prose

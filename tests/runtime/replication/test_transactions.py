@@ -137,7 +137,7 @@ def test_streams_are_told_and_traced() -> None:
 
 
 def test_the_first_place_goes_round_from_robot_to_robot() -> None:
-    """As docs/shared-memory.md says: the least (pid - round - lock) mod N_SYS."""
+    """As docs/explanation/shared-memory.md says: the least (pid - round - lock) mod N_SYS."""
     assert [winner((0, 1, 2, 3), 0, round_, 4) for round_ in range(1, 6)] == [1, 2, 3, 0, 1]
     assert [winner((0, 1), 0, round_, 4) for round_ in range(1, 6)] == [1, 0, 0, 0, 1]
     assert winner((0, 1, 2, 3), 2, 1, 4) == 3

@@ -218,7 +218,7 @@ def test_a_poll_takes_what_a_socket_holds_and_no_more() -> None:
 
 
 def test_a_sender_needs_nothing_of_ours() -> None:
-    """The bytes as docs/feeds.md has them."""
+    """The bytes as docs/reference/wire.md has them."""
     payload = msgspec.msgpack.encode(["bert", 1760000000000, 1, 5.0, [[1.0, -2.0, 0.5], 0.7]])
     sealed = payload + hashlib.blake2s(payload, digest_size=16, key=KEY, person=b"k-pose").digest()
     feed = Feed("bert", KEY)

@@ -28,6 +28,7 @@ PLAIN = "  eff: atomic:\n", "  eff:\n"
 HANDED_IN = "invariant HandedIn: forall i in ID: onPath[i] or merge(map, localMap[i]) == map\n"
 
 MUTANTS = (
+    Mutant("hello: missing not", "hello/hello", "pre: not sent", "pre: sent", DEADLOCK, 0),
     Mutant("sum: lost update", "atomicsum/atomicsum", *PLAIN, "Counted", 1),
     Mutant("sum: missing not", "atomicsum/atomicsum", "pre: not done[pid]", "pre: done[pid]", DEADLOCK, 0),
     Mutant(

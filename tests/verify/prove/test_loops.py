@@ -128,7 +128,7 @@ class Case(NamedTuple):
     fails: str
 
 
-# By the rules T1 to T6 of docs/semantics.md.
+# By the rules T1 to T6 of docs/reference/semantics.md.
 TURNS = {
     "T1 places": Case(
         "int last",

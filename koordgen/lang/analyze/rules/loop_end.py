@@ -12,8 +12,9 @@ from koordgen.lang.analyze.facts.flow import variable_of
 from koordgen.lang.analyze.facts.induction import conjuncts, writes
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir.tree import statements, walk
+from koordgen.lang.ir.tree import children, statements, walk
 from koordgen.lang.ir.types import POISON
+from koordgen.lang.node import Node
 from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
@@ -61,12 +62,30 @@ def _moves_towards(moved: ir.Expr, other: ir.Expr, step: int, block: stmt.Block)
             length = False
         case _:
             return False
-    if {variable_of(part) for part in walk(other)} & {name for name, _ in writes(block)}:
+    if _is_changed(other, block):
         return False
     try:
         return _follow(block, variable_of(read) or "", length, step, False)
     except _Wrong:
         return False
+
+
+def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
+    """Return whether a block may change a bound's value. Writing a list's elements does not change its length."""
+    written = list(writes(block))
+    changed, resized = {name for name, _ in written}, {name for name, same_length in written if not same_length}
+    pending: list[Node] = [bound]
+    while pending:
+        part = pending.pop()
+        match part:
+            case ir.Builtin("len", (ir.LocalRead() | ir.TempRead() | ir.SharedRead() as read,)):
+                if variable_of(read) in resized:
+                    return True
+            case _:
+                if variable_of(part) in changed:
+                    return True
+                pending.extend(children(part))
+    return False
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:

@@ -1,8 +1,8 @@
 """Loops as they stand in the program: how each is encoded, what it writes, and what its turns leave behind.
 
 Everything here is decided from the IR alone, so that the obligations of a program can be counted without encoding it
-(`koordgen/verify/prove/obligations/count.py`). The facts about turns hold by the meaning of loops (docs/semantics.md,
-"Loops"); no obligation shows them.
+(`koordgen/verify/prove/obligations/count.py`). The facts about turns hold by the meaning of loops ("Loops" in
+docs/reference/semantics.md); no obligation shows them.
 """
 
 from __future__ import annotations

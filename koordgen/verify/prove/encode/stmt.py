@@ -429,8 +429,8 @@ class Frame:
 
 
 # Facts about the turns of a loop that is cut: what holds at its head by the meaning of loops alone. Each rule is stated
-# in docs/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them can be satisfied
-# whatever the program does: by the values at loop entry, with no turn taken.
+# in docs/reference/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them can be
+# satisfied whatever the program does: by the values at loop entry, with no turn taken.
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 

@@ -1,7 +1,8 @@
 """From a program to its obligations: the mission's start, each event, the environment's step.
 
 Induction: the invariants hold when all robots have run `init`; each event of each robot keeps them, whatever others did
-in the round by then; and so does each moment of the environment's step. docs/proofs.md argues that this suffices.
+in the round by then; and so does each moment of the environment's step. docs/explanation/proofs.md argues that this
+suffices.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An invariant that a program states at a loop's head is always among them, unless it was found not to hold. Of the
 program's own invariants those are among them that speak of what the loop writes: they may hold there, which is tried.
-What is assumed at a head is shown where the loop begins and for each turn (docs/semantics.md).
+What is assumed at a head is shown where the loop begins and for each turn (docs/reference/semantics.md).
 """
 
 from __future__ import annotations

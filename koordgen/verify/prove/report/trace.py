@@ -1,4 +1,4 @@
-"""A counterexample as a trace (see docs/sim.md), which simulators and replayers read."""
+"""A counterexample as a trace (see docs/reference/trace.md), which simulators and replayers read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mutants of the prover, by the rule of docs/semantics.md, "Verification conditions", that each breaks."""
+"""The mutants of the prover, by the rule that each breaks: "Verification conditions" in docs/reference/semantics.md."""
 
 from __future__ import annotations
 
@@ -396,7 +396,7 @@ MUTANTS: dict[str, Mutant] = {
     "a condition was tested for the value that ended the loop": Mutant(
         "T6", UNSOUND, Turns.passed, "the first that is not",
         "t.less(value, now))\n", "t.at_most(value, now))\n"),
-    # how values become terms (docs/proofs.md)
+    # how values become terms (docs/explanation/prover.md)
     "less means at most": Mutant(
         "values", UNSOUND, t.less, "a loop that counts",
         '_op("<", BOOL, a, b)', '_op("<=", BOOL, a, b)'),

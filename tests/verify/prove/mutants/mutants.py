@@ -1,4 +1,5 @@
-"""Catches mutants of the prover: each breaks one rule of docs/semantics.md, "Verification conditions", in one line.
+"""Catches mutants of the prover: each breaks one rule of docs/reference/semantics.md, "Verification conditions", in one
+line.
 
 With an unsound mutant something is PROVED that is false: the attack, an exploration or random runs must contradict it.
 Any other mutant must change the known verdict of a small program. `python -m tests.verify.prove.mutants.mutants` prints

@@ -18,11 +18,11 @@ from tests.verify.prove.mutants.catalogue import MUTANTS
 from tests.verify.prove.mutants.mutants import LIMITS, caught, fixed, planted
 
 DOCS = Path(__file__).parents[4] / "docs"
-UNRULED = "values"  # how values become terms: docs/proofs.md
+UNRULED = "values"  # how values become terms: docs/explanation/prover.md
 SHARES = 4
 TODAY = date.today().toordinal() % SHARES
 FEW = list(MUTANTS)[TODAY::SHARES]
-RULES = re.findall(r"^\| ([VT]\d+) ", (DOCS / "semantics.md").read_text(), re.MULTILINE)
+RULES = re.findall(r"^\| ([VT]\d+) ", (DOCS / "reference/semantics.md").read_text(), re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_every_rule_has_an_unsound_mutant() -> None:
 
 def test_the_documentation_counts_the_mutants_of_each_rule() -> None:
     rows = re.findall(
-        r"^\| ([VT]\d+|values) \|[^|]*\| (\d+) \| (\d+) \|", (DOCS / "proofs.md").read_text(), re.MULTILINE
+        r"^\| ([VT]\d+|values) \|[^|]*\| (\d+) \| (\d+) \|", (DOCS / "explanation/prover.md").read_text(), re.MULTILINE
     )
     counts = Counter((mutant.rule, mutant.unsound) for mutant in MUTANTS.values())
     assert rows == [(rule, str(counts[rule, True]), str(counts[rule, False])) for rule in (*RULES, UNRULED)]
