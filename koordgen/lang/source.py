@@ -19,7 +19,7 @@ class Span(Node):
 class Source:
     """Source text with its path as the user wrote it.
 
-    `\r\n` is replaced by `\n`; a byte order mark is removed.
+    `\\r\\n` is replaced by `\\n`; a byte order mark is removed.
     """
 
     def __init__(self, path: str, text: str) -> None:

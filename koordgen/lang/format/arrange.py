@@ -238,10 +238,7 @@ class _Line:
 
 
 def arranged(text: str) -> str:
-    """Return the formatted text.
-
-    The text must be free of layout and syntax errors, with `\n` at line ends.
-    """
+    """Return the formatted text. The text must have no layout or syntax errors, and `\\n` at line ends."""
     found = statements(rows(text))
     lines: list[_Line] = []
     for statement, blank in zip(found, _blanks(found), strict=True):

@@ -108,7 +108,7 @@ def child_fields(kind: type[Node]) -> tuple[str, ...]:
     found = _FIELDS.get(kind)
     if found is None:
         if not kind.__module__.startswith(_IR):
-            raise TypeError(f"{kind.__name__} is no node of the IR")
+            raise TypeError(f"{kind.__name__} is not a node of the IR")
         annotations = kind.__annotations__
         found = _FIELDS[kind] = tuple([field for field in annotations if _has_children(annotations[field])])
     return found

@@ -80,7 +80,9 @@ class _Walk(Expressions):
             _distinct("port", [(port.name, port.span) for port in module.ports])
             for port in module.ports:
                 special = {"callable": PLANNER, "stream": STREAM}.get(port.direction)
-                must(special is None or port.type == special, f"{port.name} is a {port.type}", port.span)
+                must(
+                    special is None or port.type == special, f"the port {port.name} has the type {port.type}", port.span
+                )
                 if special is None:
                     self.plain(port.type, port.span)
         self.locks()
@@ -97,26 +99,32 @@ class _Walk(Expressions):
         """
         match type_:
             case Scalar():
-                must(type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"a value of type {type_}", span)
+                must(
+                    type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"values of type {type_} cannot be stored", span
+                )
             case Sized(name, capacity):
-                must(capacity > 0, f"a {name} of capacity {capacity}", span)
+                must(capacity > 0, f"the capacity {capacity} of a {name} is not positive", span)
             case Sequence(name, element, capacity):
-                must(name in ("List", "Queue", "Set") and capacity > 0, f"{type_} of {capacity}", span)
-                must(name != "Set" or is_key(element), f"{type_}", span)
+                must(
+                    name in ("List", "Queue", "Set") and capacity > 0,
+                    f"{type_} with the capacity {capacity} is not a valid type",
+                    span,
+                )
+                must(name != "Set" or is_key(element), f"{type_} has elements without an order", span)
                 self.plain(element, span)
             case MapOf(key, value, capacity):
-                must(is_key(key) and capacity > 0, f"{type_} of {capacity}", span)
+                must(is_key(key) and capacity > 0, f"{type_} with the capacity {capacity} is not a valid type", span)
                 self.plain(value, span)
             case TupleOf(items):
-                must(len(items) > 1, "a tuple of one", span)
+                must(len(items) > 1, "a tuple has one item", span)
                 for item in items:
                     self.plain(item, span)
             case RecordType(name):
-                must(self.records.get(name) == type_, f"no record {name}", span)
+                must(self.records.get(name) == type_, f"the record {name} is not declared", span)
             case ExternType(name):
-                must(name in self.extern_types, f"no extern type {name}", span)
+                must(name in self.extern_types, f"the extern type {name} is not declared", span)
             case PerRobot():
-                must(False, f"a value of type {type_}", span)
+                must(False, f"values of type {type_} cannot be stored", span)
             case _:
                 assert_never(type_)
 
@@ -125,7 +133,11 @@ class _Walk(Expressions):
         _distinct("locked variable", [(name, at) for group in self.program.locks for name in group])
         declared = {v.name for v in self.program.shared}
         for group in self.program.locks:
-            must(bool(group) and declared.issuperset(group), f"a lock of {', '.join(group) or 'nothing'}", at)
+            must(
+                bool(group) and declared.issuperset(group),
+                f"a lock has undeclared variables, or none: {', '.join(group)}",
+                at,
+            )
 
     def functions(self) -> None:
         callees: set[str] = set()
@@ -165,7 +177,7 @@ class _Walk(Expressions):
         for event in self.program.events:
             block = event.priority
             known = block is None or block == last + 1 or (block == last and block == before)
-            must(known, f"{event.name} is in the priority block {block}, which is not the next one", event.span)
+            must(known, f"{event.name} is in the priority block {block}, out of order", event.span)
             last, before = last if block is None else block, block
 
     def event(self, event: decl.Event) -> None:
@@ -175,8 +187,10 @@ class _Walk(Expressions):
         self.block(event.effect)
         if event.lock is not None:
             locks = self.program.locks
-            must(0 <= event.lock < len(locks), f"no lock {event.lock}", event.span)
-            must(self.shared.issubset(locks[event.lock]), f"{event.name} uses more than its lock", event.span)
+            must(0 <= event.lock < len(locks), f"the lock {event.lock} does not exist", event.span)
+            must(
+                self.shared.issubset(locks[event.lock]), f"{event.name} uses variables outside of its lock", event.span
+            )
 
     # Statements
 
@@ -212,9 +226,13 @@ class _Walk(Expressions):
         element = self.element(node.values)
         if len(node.names) > 1:
             pairs = isinstance(element, TupleOf) and element.items == node.types
-            must(pairs, f"a {element} for {len(node.names)} names", node.span)
+            must(pairs, f"an element of type {element} cannot be assigned to {len(node.names)} names", node.span)
         else:
-            must((element,) == node.types, f"a {element} for a {node.types[0]}", node.span)
+            must(
+                (element,) == node.types,
+                f"an element of type {element} cannot be assigned to a {node.types[0]}",
+                node.span,
+            )
         named = isinstance(node.values, (expr.Range, expr.Ids))
         if not named:
             self.invariants(node)
@@ -237,17 +255,17 @@ class _Walk(Expressions):
     def simple(self, node: stmt.Break | stmt.Continue | stmt.Return | stmt.Emit | stmt.Stop) -> None:
         match node:
             case stmt.Break(span) | stmt.Continue(span):
-                must(self.loops > 0, "outside a loop", span)
+                must(self.loops > 0, "break or continue outside of a loop", span)
             case stmt.Return(value, span):
-                must(self.place == "function" and self.result is not None, "a return outside a function", span)
+                must(self.place == "function" and self.result is not None, "return outside of a function", span)
                 assert self.result is not None
                 self.typed(value, self.result)
             case stmt.Stop(span):
-                must(self.place in ("init", "effect"), f"a stop in a {self.place}", span)
+                must(self.place in ("init", "effect"), f"stop is not allowed in a {self.place}", span)
             case stmt.Emit(module, port, items, span):
-                must(self.place in ("init", "effect"), f"output in a {self.place}", span)
+                must(self.place in ("init", "effect"), f"writing to a stream is not allowed in a {self.place}", span)
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "stream", f"{module}.{port} is no stream", span)
+                must(found is not None and found.direction == "stream", f"{module}.{port} is not a stream", span)
                 for item in items:
                     self.typed(item, STRING)
             case _:
@@ -255,7 +273,7 @@ class _Walk(Expressions):
 
     def target(self, place: stmt.Place, span: Span) -> Type:
         if self.place not in ("init", "effect") and not isinstance(place, stmt.TempPlace):
-            must(False, f"a write in a {self.place}", span)
+            must(False, f"an assignment is not allowed in a {self.place}", span)
         match place:
             case stmt.LocalPlace(name):
                 return self.known(self.locals, name, span)
@@ -270,7 +288,7 @@ class _Walk(Expressions):
             case stmt.PortPlace(module, port):
                 found = self.ports.get((module, port))
                 if found is None or found.direction != "actuator":
-                    return must_not(f"{module}.{port} is no actuator", span)
+                    return must_not(f"{module}.{port} is not an actuator", span)
                 return found.type
             case _:
                 assert_never(place)

@@ -54,7 +54,7 @@ _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 def literal_type(value: object, span: Span) -> Type:
     type_ = _LITERALS.get(type(value))
     if type_ is None or (type_ is FLOAT and not isfinite(value)):  # type: ignore[arg-type]
-        return must_not("no literal, or one that is not finite", span)
+        return must_not("the value is not a literal, or not finite", span)
     return type_
 
 
@@ -73,7 +73,7 @@ def at_type(type_: Type, span: Span) -> Type:
         case Sequence("List" | "Queue", element) | PerRobot(element):
             return element
         case _:
-            must(type_ == STRING, f"an index of a {type_}", span)
+            must(type_ == STRING, f"a {type_} has no index", span)
             return STRING
 
 
@@ -86,7 +86,7 @@ def binary_type(op: str, left: Type, right: Type, span: Span) -> Type:
         return POINT
     if op == "+" and left == right and (left == STRING or (isinstance(left, Sequence) and left.name == "List")):
         return left
-    return must_not(f"{left} {op} {right}", span)
+    return must_not(f"{op} does not apply to {left} and {right}", span)
 
 
 def _word(type_: Type) -> str:
@@ -118,7 +118,7 @@ def builtin_type(name: str, types: list[Type], span: Span) -> Type:
         result = _result(signature, types)
         if result is not None:
             return result
-    return must_not(f"no builtin {name} of {', '.join(map(str, types)) or 'nothing'}", span)
+    return must_not(f"no builtin {name} takes ({', '.join(map(str, types))})", span)
 
 
 def _result(signature: Signature, types: list[Type]) -> Type | None:

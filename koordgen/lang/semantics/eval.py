@@ -93,7 +93,7 @@ def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
     """
     one = node.type.element if isinstance(node.type, PerRobot) else node.type
     if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
-        return value  # a number, or one for each robot
+        return value  # reading a scalar, or one for each robot, costs no turns
     turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
     if turns:
         view.spend(turns, node.span)
@@ -285,7 +285,7 @@ def _asked(node: ir.PortCall, view: View) -> Value:
     except Exception as error:
         raise Discarded(f"{port} failed: {error}", node.span) from None
     if not conforms(answer, node.type) or number_flaw(answer):
-        raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
+        raise Discarded(f"{port} answered {answer!r}, which is not of type {node.type}", node.span)
     return answer
 
 

@@ -117,11 +117,11 @@ def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, 
     except Exception as error:
         raise ValueError(f"{name} failed: {error!r}") from None
     if not conforms(result, function.result):
-        raise ValueError(f"{name} returned {result!r}, which is no {function.result}")
+        raise ValueError(f"{name} returned {result!r}, which is not of type {function.result}")
     view = view._replace(temps={**view.temps, "result": result})
     for formula in function.ensures:
         if not holds(formula, view):
-            raise ValueError(f"{name} returned {result!r}, which it ensures not to")
+            raise ValueError(f"{name} returned {result!r}, which violates its ensures")
     return result
 
 
@@ -316,5 +316,5 @@ def constant(node: ir.Expr, view: View, type_: Type) -> Value:
     """
     value = evaluate(node, view)
     if not conforms(value, type_):
-        raise InternalError(f"line {node.span.line}: {value!r} is no {type_}")
+        raise InternalError(f"line {node.span.line}: {value!r} is not of type {type_}")
     return value

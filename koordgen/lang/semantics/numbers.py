@@ -20,7 +20,7 @@ SMALL_BITS = 64  # an int of at most so many bits may be added to any int
 def as_real(value: Value) -> int | float:
     """Return a value that must be an int, a float, or an exact number in place of a float."""
     if not isinstance(value, (int, float)) and not is_exact(value):
-        raise InternalError(f"{value!r} is no number")
+        raise InternalError(f"{value!r} is not a number")
     return value  # type: ignore[return-value]
 
 

@@ -58,7 +58,7 @@ P = TypeVar("P")
 def as_(kind: type[P], value: object) -> P:
     """Return a value that must be of a Python type. Raises InternalError if it is not."""
     if not isinstance(value, kind):
-        raise InternalError(f"{value!r} is no {kind.__name__}")
+        raise InternalError(f"{value!r} is not of type {kind.__name__}")
     return value
 
 

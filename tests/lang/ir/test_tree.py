@@ -132,9 +132,9 @@ def test_a_bound_that_is_not_there_is_no_child(start: expr.Expr | None, stop: ex
 def test_only_nodes_of_the_ir_have_children() -> None:
     wrongs: list[Any] = [written.Name("x", AT), AT, [ONE]]
     for wrong in wrongs:
-        with pytest.raises(TypeError, match="is no node of the IR"):
+        with pytest.raises(TypeError, match="is not a node of the IR"):
             children(wrong)
-        with pytest.raises(TypeError, match="is no node of the IR"):
+        with pytest.raises(TypeError, match="is not a node of the IR"):
             list(walk(wrong))
 
 
