@@ -28,7 +28,7 @@ def claim_names(program: ast.Program, c: Context) -> None:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    if not isinstance(variable.type, BrokenType):  # its name is a guess
+                    if not isinstance(variable.type, BrokenType):  # the parser only guessed its name
                         _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):

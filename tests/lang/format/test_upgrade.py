@@ -153,5 +153,5 @@ def test_an_upgrade_that_changes_the_meaning_is_found_out() -> None:
 
 def test_an_upgrade_that_breaks_the_program_is_found_out() -> None:
     broken = Diagnostic("K050", "note", "", Span(1, 1, 1, 2), edits=(edit(1, 1, 1, 2, "("),))
-    with pytest.raises(InternalError, match=r"a\.koord cannot be read"):
+    with pytest.raises(InternalError, match=r"a\.koord can no longer be parsed"):
         upgraded(Source("a.koord", "local: int b\n"), lambda tree, source: (None, [broken]))

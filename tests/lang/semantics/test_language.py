@@ -314,7 +314,10 @@ def test_a_port_call_is_an_input() -> None:
     state, _ = planned("Motion.path = Motion.planner(Motion.position, walls)\nn = len(Motion.path)")
     assert state.robots[0].ports["Motion.path"] == (Point(), Point(9.0, 0.0, 0.0))
     assert state.robots[0].locals["n"] == 2
-    for effect, why in (("(Motion.position)", "no map"), ("(Motion.position, [Grid(0, 0, 1)])", "not of type List<Point>")):
+    for effect, why in (
+        ("(Motion.position)", "no map"),
+        ("(Motion.position, [Grid(0, 0, 1)])", "not of type List<Point>"),
+    ):
         _, outcome = planned(f"Motion.path = Motion.planner{effect}")
         assert isinstance(outcome, Discarded) and why in outcome.reason
 

@@ -79,7 +79,7 @@ def _record_type(
     seen: dict[str, Span] = {}
     for field in node.fields:
         if isinstance(field.type, written.BrokenType):
-            fields.append((field, POISON))  # its name is a guess
+            fields.append((field, POISON))  # the parser only guessed its name
             continue
         type_ = with_capacities(resolve(field.type, c), field.capacities, False, c)
         type_ = POISON if _has_size(field, "in a record", c) else type_
@@ -142,7 +142,7 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> TypedVariab
         kind = section.kind
         for node in section.variables:
             if isinstance(node.type, written.BrokenType):
-                continue  # its name is a guess
+                continue  # the parser only guessed its name
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
             if type_ is POISON:

@@ -45,7 +45,7 @@ def _add_port(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
     if isinstance(node.type, BrokenType):
-        return  # its name is a guess
+        return  # the parser only guessed its name
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
