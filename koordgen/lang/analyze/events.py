@@ -47,7 +47,7 @@ def _event(
     a.enter("guard")
     a.transaction = transaction
     assert a.path is not None
-    first = _first(event, transaction, earlier)
+    first = _events_with_priority(event, transaction, earlier)
     for other in first[-MOST_EARLIER:]:
         if other.guard is not None:
             a.path = a.path.failing(other.guard)
@@ -73,7 +73,9 @@ def _event(
     return AnalysedEvent(analyzed, known, own, always)
 
 
-def _first(event: decl.Event, transaction: bool, earlier: Sequence[AnalysedEvent]) -> list[AnalysedEvent]:
+def _events_with_priority(
+    event: decl.Event, transaction: bool, earlier: Sequence[AnalysedEvent]
+) -> list[AnalysedEvent]:
     """Return the earlier events of the `priority:` block whose guards must be false where this event runs.
 
     Guards are evaluated at the round's start. A transaction sees the shared variables as they are now, so for it the

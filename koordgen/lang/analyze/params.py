@@ -148,7 +148,7 @@ class _Reader:
             case RecordType() if isinstance(value, dict):
                 return self.record(what, type_, value)
             case _:
-                raise misfit(what, type_, value)
+                raise wrong_type(what, type_, value)
 
     def record(self, what: str, type_: RecordType, value: dict[Value, Value]) -> Expr:
         fields = dict(type_.fields)
@@ -178,7 +178,7 @@ class _Reader:
                 return Builtin("Grid", self.parts(what, (INT, INT, FLOAT), (x, y, size)), GRID, self.span)
             case [position, yaw], "Pose":
                 return Builtin("Pose", self.parts(what, (POINT, FLOAT), (position, yaw)), POSE, self.span)
-        raise misfit(what, type_, value)
+        raise wrong_type(what, type_, value)
 
     def parts(self, what: str, types: tuple[Type, ...], values: tuple[Value, ...]) -> tuple[Expr, ...]:
         named = enumerate(zip(types, values, strict=True))
@@ -198,7 +198,7 @@ class _Reader:
             seen.add(item)
 
 
-def misfit(what: str, type_: Type, value: Value) -> BadParam:
+def wrong_type(what: str, type_: Type, value: Value) -> BadParam:
     """Return the error for a value of the wrong type; it says how to write a value of that type."""
     form = _form(type_)
     return BadParam(f"{what} is of type {type_}{form and f', written {form}'}; {value!r} does not fit")

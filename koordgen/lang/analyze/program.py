@@ -36,9 +36,9 @@ def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, li
 def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Program:
     """Analyse a program with drafts and return it without them."""
     records = tuple([_record(record, a) for record in program.records])
-    params = tuple([replace(p, default=_first(p.name, p.default, p.type, a)) for p in program.params])
-    shared = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.shared])
-    locals_ = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.locals])
+    params = tuple([replace(p, default=_initial_value(p.name, p.default, p.type, a)) for p in program.params])
+    shared = tuple([replace(v, initial=_initial_value(v.name, v.initial, v.type, a)) for v in program.shared])
+    locals_ = tuple([replace(v, initial=_initial_value(v.name, v.initial, v.type, a)) for v in program.locals])
     functions = tuple([_function(function, a) for function in program.functions])
     externs = tuple([_contract(function, a) for function in program.externs])
     a.enter("init")
@@ -69,7 +69,7 @@ def _events(
     return with_locks(analyzed, shared, a)
 
 
-def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
+def _initial_value(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
     """Analyse the initial value of a param, a variable or a field."""
     before = len(a.found)
     value = _formula(value, "constant", a)
@@ -80,7 +80,7 @@ def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
 
 def _record(record: decl.Record, a: Analysis) -> decl.Record:
     fields = zip(record.type.fields, record.defaults, strict=True)
-    return replace(record, defaults=tuple([_first(name, value, type_, a) for (name, type_), value in fields]))
+    return replace(record, defaults=tuple([_initial_value(name, value, type_, a) for (name, type_), value in fields]))
 
 
 def _function(function: decl.Function, a: Analysis) -> decl.Function:

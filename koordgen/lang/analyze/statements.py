@@ -170,7 +170,7 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
             flow = flow.assuming(fact)
         return flow
 
-    def turns(block: stmt.Block) -> LoopModel:
+    def model(block: stmt.Block) -> LoopModel:
         assert before is not None and after is not None
         if not (counted and names):
             return LoopModel(
@@ -179,9 +179,9 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
         counting = _counting(names[0], values, before, changed, sized, block)
         return LoopModel(before, after, changed, sized, block, enter, _unchanged, *counting)
 
-    block = _iteration(node.block, after, enter, turns, invariants, None, a)
+    block = _iteration(node.block, after, enter, model, invariants, None, a)
     a.loop = around
-    a.path = None if after is None else _point_after_loop(turns(block), invariants, None)
+    a.path = None if after is None else _point_after_loop(model(block), invariants, None)
     return stmt.For(names, node.types, values, block, node.span, invariants)
 
 
@@ -212,14 +212,14 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
     def leave(flow: Flow) -> Flow:
         return flow if leaves else flow.assuming(linear.negate(known))
 
-    def turns(block: stmt.Block) -> LoopModel:
+    def model(block: stmt.Block) -> LoopModel:
         assert before is not None and start is not None
         return LoopModel(before, start, changed, sized, block, enter, leave, _unchanged, _unchanged, _unchanged)
 
-    block = _iteration(node.block, start, enter, turns, invariants, held, a)
+    block = _iteration(node.block, start, enter, model, invariants, held, a)
     a.poisoned = poisoned
     endless = start is None or (known == linear.TRUE and not leaves)
-    a.path = None if endless else _point_after_loop(turns(block), invariants, held)
+    a.path = None if endless else _point_after_loop(model(block), invariants, held)
     check_end(node, a)
     return stmt.While(held, block, node.span, invariants)
 
@@ -292,7 +292,7 @@ def _values_as_conditions(flow: Flow, name: str) -> Flow:
 
 
 def _iteration(
-    written: stmt.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], LoopModel],
+    written: stmt.Block, head: Flow | None, enter: Step, model: Callable[[stmt.Block], LoopModel],
     invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, a: Analysis,
 ) -> stmt.Block:  # fmt: skip
     """Analyse the block of a loop.
@@ -302,29 +302,29 @@ def _iteration(
     """
     if head is not None:
         a.flow = enter(head)
-    mark = a.mark()
+    saved_state = a.saved_state()
     block = _body(written, a)
-    doubtful = any(found.code in _DOUBTS for found in a.found[mark.found :])
+    doubtful = any(found.code in _DOUBTS for found in a.found[saved_state.found :])
     if head is None or not doubtful or a.loops >= MOST_LOOPS:
         return block
-    whole = turns(block)
+    whole = model(block)
     found = kept(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
     if not found.inside:
         return block
-    a.restore(mark)
+    a.restore(saved_state)
     a.flow = enter(assuming(head, found.inside))
     return _body(written, a)
 
 
-def _point_after_loop(turns: LoopModel, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
+def _point_after_loop(model: LoopModel, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
     """Return the point after a loop.
 
     Its facts, which need a search for loop invariants, are computed on demand.
     """
 
     def known() -> Flow:
-        found = kept(turns, [*declared_candidates(invariants), *guessed_bounds(turns, condition)])
-        return after_loop(turns, found)
+        found = kept(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
+        return after_loop(model, found)
 
     return Path((), known)
 

@@ -96,7 +96,7 @@ def converted(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     return report_mismatch(value, type_, what, c)
 
 
-def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+def converted_argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     """Return an argument converted to its parameter's type.
 
     An allread variable as a whole passes as a list.
@@ -112,7 +112,7 @@ def report_mismatch(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Ex
     """Report that a value is not of the expected type."""
     found, help = value.type, ""
     if isinstance(found, PerRobot) and not isinstance(type_, PerRobot):
-        return per_robot(value, c)
+        return report_missing_index(value, c)
     if type_ is INT and found is FLOAT:
         divides = isinstance(value, ir.Binary) and value.op == "/"
         help = (
@@ -132,7 +132,7 @@ def report_mismatch(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Ex
     return c.error("K012", f"{what} is {with_article(type_)}, not {with_article(found)}", value.span, help, (), value)
 
 
-def per_robot(value: ir.Expr, c: Context) -> ir.Expr:
+def report_missing_index(value: ir.Expr, c: Context) -> ir.Expr:
     """Report that an allread variable stands without an index where a single value is expected."""
     text = c.text(value.span)
     return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _index_help(text, c))

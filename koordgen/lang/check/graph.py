@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 
-def ordered(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], list[list[str]]]:
+def topological_order(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], list[list[str]]]:
     """Return all names, each after the names that it points to, and cycles: `[a, b]` for a -> b -> a.
 
     At least one cycle is returned if there is one; of cycles that share names, some may be left out. Edges to names

@@ -19,7 +19,7 @@ _HEAD = "write it as the first lines of the block of 'for' or 'while'"
 _LEAST = "it is also evaluated after the last iteration, when there is no element: loop over range(len(...))"
 
 
-def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
+def split_invariants(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
     """Split a loop's block into the invariants at its head and the other statements.
 
     A line that could not be parsed does not end the head: it may be an invariant.
@@ -93,7 +93,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
     return ir.TempRead(let.name, read.type, node.span)
 
 
-def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
+def report_port_call(name: str, node: ast.Call, c: Context) -> ir.Expr:
     """Report a call of a port in a loop invariant."""
     help = f"call it before the loop and save the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)

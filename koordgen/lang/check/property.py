@@ -31,7 +31,7 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
     return tuple(found)
 
 
-def goal(name: str, span: Span, c: Context) -> Temp | None:
+def bind_goal(name: str, span: Span, c: Context) -> Temp | None:
     """Bind an undefined name that an assumption passes to a callable port of its module.
 
     None if it does not.

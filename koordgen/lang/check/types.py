@@ -144,7 +144,7 @@ def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
     return type_
 
 
-def per_robot(size: ast.Expr, c: Context) -> bool:
+def is_fleet_size(size: ast.Expr, c: Context) -> bool:
     """Return whether the size of an array is N_SYS. Reports the 2020 dialect's names of it."""
     name = size.name if isinstance(size, ast.Name) else ""
     if name in ("numAgents", "numBots"):

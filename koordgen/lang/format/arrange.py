@@ -31,11 +31,11 @@ class Spacer:
         self._after_value = False  # the last token ends a value, a type or a name
         self._tight = True  # no space may follow the last token
 
-    def take(self, token: str) -> bool:
+    def space_before(self, token: str) -> bool:
         """Add a token, and return whether a space stands before it."""
         closes_types = token == ">" and self._inside(TYPES)
         unary = token == "!" or (token == "-" and not self._after_value)
-        space = not self._tight and not self._clings(token, closes_types)
+        space = not self._tight and not self._is_attached(token, closes_types)
         tight = unary or token in _OPENING or token == "."
         if token in _CLOSING or closes_types:
             self._close(closes_types)
@@ -52,7 +52,7 @@ class Spacer:
         self._last, self._tight = token, tight
         return space
 
-    def _clings(self, token: str, closes_types: bool) -> bool:
+    def _is_attached(self, token: str, closes_types: bool) -> bool:
         """Return whether a token follows the last one without a space."""
         if token in _CLOSING or token in (",", ".", ":", "'") or closes_types:
             return True
@@ -290,7 +290,7 @@ def _lines(statement: Statement) -> list[_Line]:
             indent = opened[-closing] if closing else (opened[-1] if opened else margin) + FURTHER
         words: list[str] = []
         for token in row.tokens:
-            if spacer.take(token) and words:
+            if spacer.space_before(token) and words:
                 words.append(" ")
             words.append(token)
             del opened[len(spacer.brackets) :]

@@ -12,7 +12,7 @@ from koordgen.lang.syntax.parse import parse
 # Edits that diagnostics propose
 
 
-def applied(text: str, edits: Iterable[Edit]) -> str:
+def apply_edits(text: str, edits: Iterable[Edit]) -> str:
     """Return the text with all edits applied. Raises ValueError if they overlap.
 
     Insertions at the same position are in the order of the edits.
@@ -31,7 +31,7 @@ def applied(text: str, edits: Iterable[Edit]) -> str:
     return "".join([*parts, text[done:]])
 
 
-def compatible(notes: Sequence[Diagnostic]) -> list[Edit]:
+def non_overlapping(notes: Sequence[Diagnostic]) -> list[Edit]:
     """Return edits that do not overlap.
 
     The edits of one diagnostic are taken together, or left out if they overlap with those of an earlier one.
@@ -70,7 +70,7 @@ def upgraded(source: Source, check: Checker) -> Source:
     for _ in range(_ROUNDS):
         if not notes:
             return result
-        result = Source(source.path, applied(result.text, compatible(notes)))
+        result = Source(source.path, apply_edits(result.text, non_overlapping(notes)))
         after, notes = _checked(result, check)
         if meaning is not None and after != meaning:
             raise InternalError(f"upgrading {source.path} would change its meaning; nothing was written")

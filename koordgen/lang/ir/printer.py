@@ -176,7 +176,7 @@ def expression(node: expr.Expr) -> str:
         case expr.Ids():
             return "ID"
         case expr.SlotRead(name, index, proved):
-            return f"{name}[{expression(index)}]{_doubt(proved)}"
+            return f"{name}[{expression(index)}]{_check_mark(proved)}"
         case expr.PortRead(module, port, primed):
             return f"{module}.{port}{_prime(primed)}"
         case expr.LocalOf(name, robot):
@@ -188,7 +188,7 @@ def expression(node: expr.Expr) -> str:
         case expr.Unary(op, operand):
             return f"({op}{' ' if op == 'not' else ''}{expression(operand)})"
         case expr.Binary(op, left, right, proved):
-            return f"({expression(left)} {op}{_doubt(proved)} {expression(right)}: {node.type})"
+            return f"({expression(left)} {op}{_check_mark(proved)} {expression(right)}: {node.type})"
         case expr.Compare(op, left, right) | expr.Logic(op, left, right):
             return f"({expression(left)} {op} {expression(right)})"
         case expr.Contains(item, values):
@@ -216,10 +216,10 @@ def _compound(
         case expr.Item(operand, index):
             return f"{expression(operand)}[{index}]"
         case expr.At(operand, index, proved):
-            return f"{expression(operand)}[{expression(index)}]{_doubt(proved)}"
+            return f"{expression(operand)}[{expression(index)}]{_check_mark(proved)}"
         case expr.Slice(operand, start, stop, proved):
             bounds = ":".join("" if bound is None else expression(bound) for bound in (start, stop))
-            return f"{expression(operand)}[{bounds}]{_doubt(proved)}"
+            return f"{expression(operand)}[{bounds}]{_check_mark(proved)}"
         case expr.With(operand, name, value):
             return f"({expression(operand)} with {name} = {expression(value)})"
         case expr.Builtin(name, args):
@@ -234,7 +234,7 @@ def _compound(
             assert_never(node)
 
 
-def _doubt(proved: bool) -> str:
+def _check_mark(proved: bool) -> str:
     return "" if proved else "?"
 
 

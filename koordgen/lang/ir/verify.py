@@ -26,7 +26,7 @@ from koordgen.lang.ir.types import (
     is_key,
 )
 from koordgen.lang.ir.verify_expr import Expressions
-from koordgen.lang.ir.verify_type import must, must_not
+from koordgen.lang.ir.verify_type import fail, require
 from koordgen.lang.source import Span
 
 
@@ -68,7 +68,7 @@ class _Walk(Expressions):
         self.blocks()
         _distinct("property", [(q.name, q.span) for q in p.properties if q.name])
         for record in p.records:
-            must(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
+            require(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
             for value, (_, type_) in zip(record.defaults, record.type.fields, strict=True):
                 self.variable("literal", type_, value, record.span)
         for param in p.params:
@@ -80,7 +80,7 @@ class _Walk(Expressions):
             _distinct("port", [(port.name, port.span) for port in module.ports])
             for port in module.ports:
                 special = {"callable": PLANNER, "stream": STREAM}.get(port.direction)
-                must(
+                require(
                     special is None or port.type == special, f"the port {port.name} has the type {port.type}", port.span
                 )
                 if special is None:
@@ -99,32 +99,32 @@ class _Walk(Expressions):
         """
         match type_:
             case Scalar():
-                must(
+                require(
                     type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"values of type {type_} cannot be stored", span
                 )
             case Sized(name, capacity):
-                must(capacity > 0, f"the capacity {capacity} of a {name} is not positive", span)
+                require(capacity > 0, f"the capacity {capacity} of a {name} is not positive", span)
             case Sequence(name, element, capacity):
-                must(
+                require(
                     name in ("List", "Queue", "Set") and capacity > 0,
                     f"{type_} with the capacity {capacity} is not a valid type",
                     span,
                 )
-                must(name != "Set" or is_key(element), f"{type_} has elements without an order", span)
+                require(name != "Set" or is_key(element), f"{type_} has elements without an order", span)
                 self.plain(element, span)
             case MapOf(key, value, capacity):
-                must(is_key(key) and capacity > 0, f"{type_} with the capacity {capacity} is not a valid type", span)
+                require(is_key(key) and capacity > 0, f"{type_} with the capacity {capacity} is not a valid type", span)
                 self.plain(value, span)
             case TupleOf(items):
-                must(len(items) > 1, "a tuple has one item", span)
+                require(len(items) > 1, "a tuple has one item", span)
                 for item in items:
                     self.plain(item, span)
             case RecordType(name):
-                must(self.records.get(name) == type_, f"the record {name} is not declared", span)
+                require(self.records.get(name) == type_, f"the record {name} is not declared", span)
             case ExternType(name):
-                must(name in self.extern_types, f"the extern type {name} is not declared", span)
+                require(name in self.extern_types, f"the extern type {name} is not declared", span)
             case PerRobot():
-                must(False, f"values of type {type_} cannot be stored", span)
+                require(False, f"values of type {type_} cannot be stored", span)
             case _:
                 assert_never(type_)
 
@@ -133,7 +133,7 @@ class _Walk(Expressions):
         _distinct("locked variable", [(name, at) for group in self.program.locks for name in group])
         declared = {v.name for v in self.program.shared}
         for group in self.program.locks:
-            must(
+            require(
                 bool(group) and declared.issuperset(group),
                 f"a lock has undeclared variables, or none: {', '.join(group)}",
                 at,
@@ -148,7 +148,7 @@ class _Walk(Expressions):
             self.plain(function.result, function.span)
             self.result = function.result
             self.block(function.block)
-            must(_returns(function.block), f"{function.name} can end without a result", function.span)
+            require(_returns(function.block), f"{function.name} can end without a result", function.span)
             callees.add(function.name)
         for extern in self.program.externs:
             self.enter("contract")
@@ -156,7 +156,7 @@ class _Walk(Expressions):
             self.plain(extern.result, extern.span)
             for formula in extern.requires:
                 self.typed(formula, BOOL)
-            must("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
+            require("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
             self.temps["result"] = extern.result
             for formula in extern.ensures:
                 self.typed(formula, BOOL)
@@ -177,7 +177,7 @@ class _Walk(Expressions):
         for event in self.program.events:
             block = event.priority
             known = block is None or block == last + 1 or (block == last and block == before)
-            must(known, f"{event.name} is in the priority block {block}, out of order", event.span)
+            require(known, f"{event.name} is in the priority block {block}, out of order", event.span)
             last, before = last if block is None else block, block
 
     def event(self, event: decl.Event) -> None:
@@ -187,8 +187,8 @@ class _Walk(Expressions):
         self.block(event.effect)
         if event.lock is not None:
             locks = self.program.locks
-            must(0 <= event.lock < len(locks), f"the lock {event.lock} does not exist", event.span)
-            must(
+            require(0 <= event.lock < len(locks), f"the lock {event.lock} does not exist", event.span)
+            require(
                 self.shared.issubset(locks[event.lock]), f"{event.name} uses variables outside of its lock", event.span
             )
 
@@ -226,9 +226,9 @@ class _Walk(Expressions):
         element = self.element(node.values)
         if len(node.names) > 1:
             pairs = isinstance(element, TupleOf) and element.items == node.types
-            must(pairs, f"an element of type {element} cannot be assigned to {len(node.names)} names", node.span)
+            require(pairs, f"an element of type {element} cannot be assigned to {len(node.names)} names", node.span)
         else:
-            must(
+            require(
                 (element,) == node.types,
                 f"an element of type {element} cannot be assigned to a {node.types[0]}",
                 node.span,
@@ -255,17 +255,17 @@ class _Walk(Expressions):
     def simple(self, node: stmt.Break | stmt.Continue | stmt.Return | stmt.Emit | stmt.Stop) -> None:
         match node:
             case stmt.Break(span) | stmt.Continue(span):
-                must(self.loops > 0, "break or continue outside of a loop", span)
+                require(self.loops > 0, "break or continue outside of a loop", span)
             case stmt.Return(value, span):
-                must(self.place == "function" and self.result is not None, "return outside of a function", span)
+                require(self.place == "function" and self.result is not None, "return outside of a function", span)
                 assert self.result is not None
                 self.typed(value, self.result)
             case stmt.Stop(span):
-                must(self.place in ("init", "effect"), f"stop is not allowed in a {self.place}", span)
+                require(self.place in ("init", "effect"), f"stop is not allowed in a {self.place}", span)
             case stmt.Emit(module, port, items, span):
-                must(self.place in ("init", "effect"), f"writing to a stream is not allowed in a {self.place}", span)
+                require(self.place in ("init", "effect"), f"writing to a stream is not allowed in a {self.place}", span)
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "stream", f"{module}.{port} is not a stream", span)
+                require(found is not None and found.direction == "stream", f"{module}.{port} is not a stream", span)
                 for item in items:
                     self.typed(item, STRING)
             case _:
@@ -273,7 +273,7 @@ class _Walk(Expressions):
 
     def target(self, place: stmt.Place, span: Span) -> Type:
         if self.place not in ("init", "effect") and not isinstance(place, stmt.TempPlace):
-            must(False, f"an assignment is not allowed in a {self.place}", span)
+            require(False, f"an assignment is not allowed in a {self.place}", span)
         match place:
             case stmt.LocalPlace(name):
                 return self.known(self.locals, name, span)
@@ -288,7 +288,7 @@ class _Walk(Expressions):
             case stmt.PortPlace(module, port):
                 found = self.ports.get((module, port))
                 if found is None or found.direction != "actuator":
-                    return must_not(f"{module}.{port} is not an actuator", span)
+                    return fail(f"{module}.{port} is not an actuator", span)
                 return found.type
             case _:
                 assert_never(place)
@@ -297,7 +297,7 @@ class _Walk(Expressions):
 def _distinct(what: str, named: Iterable[tuple[str, Span]]) -> None:
     seen: set[str] = set()
     for name, span in named:
-        must(name not in seen, f"two {what}s are called {name}", span)
+        require(name not in seen, f"two {what}s are called {name}", span)
         seen.add(name)
 
 

@@ -33,11 +33,11 @@ from koordgen.lang.ir.verify_type import (
     at_type,
     binary_type,
     builtin_type,
+    fail,
     fields_of,
     fits,
     literal_type,
-    must,
-    must_not,
+    require,
 )
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
@@ -94,35 +94,35 @@ class Expressions:
         self.at_head = False  # inside a loop invariant
 
     def declare(self, name: str, type_: Type, span: Span) -> None:
-        must(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
+        require(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
         self.minted.add(name)
         self.temps[name] = type_
 
     def known(self, declared: dict[str, Type], name: str, span: Span) -> Type:
         found = declared.get(name)
-        return must_not(f"{name} is not declared", span) if found is None else found
+        return fail(f"{name} is not declared", span) if found is None else found
 
     def typed(self, node: expr.Expr, type_: Type) -> None:
         """Verify a node and that it has a type."""
         found = self.type_of(node)
         if found is not type_ and found != type_:
-            must(False, f"expected a {type_}, found a {found}", node.span)
+            require(False, f"expected a {type_}, found a {found}", node.span)
 
     def type_of(self, node: expr.Expr) -> Type:
         """Verify a node and return its type, which is derived from its parts."""
         kind = type(node)
         places = _PLACES.get(kind)
         if self.at_head and kind is expr.PortCall:
-            must(False, "a PortCall is not allowed in a loop invariant", node.span)
+            require(False, "a PortCall is not allowed in a loop invariant", node.span)
         if places is not None and self.place not in places and not (self.at_head and kind is expr.Quantified):
-            must(False, f"a {kind.__name__} is not allowed in a {self.place}", node.span)
+            require(False, f"a {kind.__name__} is not allowed in a {self.place}", node.span)
         found: Type = _READERS.get(kind, Expressions.unknown)(self, node)
         if found is not node.type and found != node.type:
-            must(False, f"a node has the type {node.type}, but its parts yield {found}", node.span)
+            require(False, f"a node has the type {node.type}, but its parts yield {found}", node.span)
         return found
 
     def unknown(self, node: Node) -> Type:
-        return must_not(f"{type(node).__name__} is not an expression", node.span)  # type: ignore[attr-defined]
+        return fail(f"{type(node).__name__} is not an expression", node.span)  # type: ignore[attr-defined]
 
     # Reads
 
@@ -141,7 +141,7 @@ class Expressions:
     def slot(self, node: expr.SlotRead) -> Type:
         self.shared.add(node.name)
         self.typed(node.index, INT)
-        must(
+        require(
             self.place != "init" or isinstance(node.index, expr.Pid), "init reads the slot of another robot", node.span
         )
         return self.known(self.slots, node.name, node.span)
@@ -151,7 +151,7 @@ class Expressions:
         return self.known(self.cells, node.name, node.span)
 
     def port_read(self, node: expr.PortRead) -> Type:
-        must(not node.primed or self.place == "assume", "a primed port is only allowed in an assumption", node.span)
+        require(not node.primed or self.place == "assume", "a primed port is only allowed in an assumption", node.span)
         return self.port(node.module, node.port, node.span)
 
     def read(self, node: expr.ParamRead | expr.SlotsRead | expr.LocalOf | expr.PortOf | expr.Ids) -> Type:
@@ -176,9 +176,9 @@ class Expressions:
     def port(self, module: str, port: str, span: Span) -> Type:
         found = self.ports.get((module, port))
         if found is None or found.direction not in ("sensor", "actuator"):
-            return must_not(f"{module}.{port} cannot be read", span)
+            return fail(f"{module}.{port} cannot be read", span)
         if self.place == "assume" and module != self.module:
-            must(False, f"{module}.{port} belongs to another module", span)
+            require(False, f"{module}.{port} belongs to another module", span)
         return found.type
 
     # Operations
@@ -186,20 +186,20 @@ class Expressions:
     def binary(self, node: expr.Binary) -> Type:
         op = node.op
         if not node.proved and op not in ("/", "//", "%"):
-            must(False, f"{op} cannot fail, but is not marked as proved", node.span)
+            require(False, f"{op} cannot fail, but is not marked as proved", node.span)
         return binary_type(op, self.type_of(node.left), self.type_of(node.right), node.span)
 
     def compare(self, node: expr.Compare) -> Type:
         op, type_ = node.op, self.type_of(node.left)
         self.typed(node.right, type_)
         if type_ is INT or type_ is FLOAT or type_ in ORDERED_TYPES:
-            must(op in ("==", "!=", "<", "<=", ">", ">="), "the operator is not a comparison", node.span)
+            require(op in ("==", "!=", "<", "<=", ">", ">="), "the operator is not a comparison", node.span)
         elif type_ in (RECT, BALL, PLANNER, STREAM) or op not in ("==", "!="):
-            must(False, f"{op} does not apply to {type_}", node.span)
+            require(False, f"{op} does not apply to {type_}", node.span)
         return BOOL
 
     def logic(self, node: expr.Logic) -> Type:
-        must(node.op in ("and", "or"), "the operator is not and or or", node.span)
+        require(node.op in ("and", "or"), "the operator is not and or or", node.span)
         self.typed(node.left, BOOL)
         self.typed(node.right, BOOL)
         return BOOL
@@ -216,7 +216,7 @@ class Expressions:
             case expr.Unary(op, operand):
                 type_ = self.type_of(operand)
                 allowed = {"not": (BOOL,), "-": (INT, FLOAT, POINT)}.get(op, ())
-                must(type_ in allowed, f"{op} does not apply to {type_}", span)
+                require(type_ in allowed, f"{op} does not apply to {type_}", span)
                 return type_
             case expr.Conditional(condition, then, orelse):
                 self.typed(condition, BOOL)
@@ -226,13 +226,13 @@ class Expressions:
             case expr.Contains(item, values):
                 return self.contains(item, values)
             case expr.Quantified(kind, name, domain, body):
-                must(kind in ("forall", "exists"), f"{kind} is not a quantifier", span)
+                require(kind in ("forall", "exists"), f"{kind} is not a quantifier", span)
                 self.declare(name, self.element(domain), span)
                 self.typed(body, BOOL)
                 del self.temps[name]
                 return BOOL
             case expr.Range():
-                return must_not("a range is only allowed as the domain of a loop or a quantifier", span)
+                return fail("a range is only allowed as the domain of a loop or a quantifier", span)
             case _:
                 assert_never(node)
 
@@ -242,7 +242,7 @@ class Expressions:
             case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 self.typed(item, element)
             case _:
-                must(held in (STRING, RECT, BALL), f"in does not apply to a {held}", values.span)
+                require(held in (STRING, RECT, BALL), f"in does not apply to a {held}", values.span)
                 self.typed(item, STRING if held == STRING else POINT)
         return BOOL
 
@@ -251,13 +251,13 @@ class Expressions:
         if isinstance(node, expr.Range):
             self.typed(node.start, INT)
             self.typed(node.stop, INT)
-            must(node.step != 0 and node.type == list_of(INT), "a range has the step 0 or the wrong type", node.span)
+            require(node.step != 0 and node.type == list_of(INT), "a range has the step 0 or the wrong type", node.span)
             return INT
         match self.type_of(node):
             case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 return element
             case other:
-                return must_not(f"a {other} has no elements to iterate over", node.span)
+                return fail(f"a {other} has no elements to iterate over", node.span)
 
     def part(
         self, node: expr.Builtin | expr.Field | expr.Make | expr.At | expr.Item | expr.Slice | expr.With
@@ -277,7 +277,7 @@ class Expressions:
                 return at_type(self.type_of(operand), span)
             case expr.Item(operand, index):
                 type_ = self.type_of(operand)
-                must(
+                require(
                     isinstance(type_, TupleOf) and 0 <= index < len(type_.items), f"the tuple has no item {index}", span
                 )
                 assert isinstance(type_, TupleOf)
@@ -287,7 +287,7 @@ class Expressions:
                     if bound is not None:
                         self.typed(bound, INT)
                 type_ = self.type_of(operand)
-                must(
+                require(
                     type_ == STRING or (isinstance(type_, Sequence) and type_.name == "List"),
                     f"a {type_} has no slices",
                     span,
@@ -295,7 +295,7 @@ class Expressions:
                 return type_
             case expr.With(operand, name, value):
                 type_ = self.type_of(operand)
-                must(isinstance(type_, (RecordType, TupleOf)), f"a {type_} has no part {name} to replace", span)
+                require(isinstance(type_, (RecordType, TupleOf)), f"a {type_} has no part {name} to replace", span)
                 self.typed(value, self.known(fields_of(type_), name, span))
                 return type_
             case _:
@@ -311,13 +311,13 @@ class Expressions:
             case TupleOf(parts):
                 wanted = parts
             case RecordType(name, fields):
-                must(self.records.get(name) == type_, f"the record {name} is not declared", span)
+                require(self.records.get(name) == type_, f"the record {name} is not declared", span)
                 wanted = tuple([field for _, field in fields])
             case _:
                 empty = type_ in (GRIDMAP, SCAN) or (isinstance(type_, ExternType) and type_.name in self.extern_types)
-                must(empty, f"a {type_} is not made of parts", span)
+                require(empty, f"a {type_} is not made of parts", span)
                 wanted = ()
-        must(len(items) == len(wanted), f"a {type_} is made of {len(items)} parts", span)
+        require(len(items) == len(wanted), f"a {type_} is made of {len(items)} parts", span)
         for item, part in zip(items, wanted, strict=True):
             self.typed(item, part)
 
@@ -325,7 +325,7 @@ class Expressions:
         span = node.span
         match node:
             case expr.Call(name, args):
-                must(
+                require(
                     name in self.callees or (name in self.specs and self.place == "property"),
                     f"the function {name} cannot be called here",
                     span,
@@ -334,17 +334,17 @@ class Expressions:
                 self.arguments(name, args, known.parameters, span)
                 return known.result
             case expr.ExternCall(name, args):
-                must(name in self.externs, f"the extern function {name} is not declared", span)
+                require(name in self.externs, f"the extern function {name} is not declared", span)
                 self.arguments(name, args, self.externs[name].parameters, span)
                 return self.externs[name].result
             case expr.PortCall(module, port, args):
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "callable", f"{module}.{port} cannot be called", span)
-                must(len(args) in (1, 2), f"a planner has {len(args)} arguments", span)
+                require(found is not None and found.direction == "callable", f"{module}.{port} cannot be called", span)
+                require(len(args) in (1, 2), f"a planner has {len(args)} arguments", span)
                 self.typed(args[0], POINT)
                 if len(args) == 2:
                     obstacles = self.type_of(args[1])
-                    must(
+                    require(
                         obstacles in (list_of(GRID), list_of(POINT)),
                         f"the obstacles of a planner have the type {obstacles}",
                         span,
@@ -356,10 +356,10 @@ class Expressions:
     def arguments(
         self, name: str, args: tuple[expr.Expr, ...], parameters: tuple[decl.Parameter, ...], span: Span
     ) -> None:
-        must(len(args) == len(parameters), f"{name} is called with {len(args)} arguments", span)
+        require(len(args) == len(parameters), f"{name} is called with {len(args)} arguments", span)
         for arg, parameter in zip(args, parameters, strict=True):
             type_ = self.type_of(arg)
-            must(fits(type_, parameter.type), f"expected a {parameter.type}, found a {type_}", arg.span)
+            require(fits(type_, parameter.type), f"expected a {parameter.type}, found a {type_}", arg.span)
 
     def builtin(self, name: str, args: tuple[expr.Expr, ...], span: Span) -> Type:
         return builtin_type(name, [self.type_of(arg) for arg in args], span)

@@ -37,13 +37,13 @@ _FIELDS: dict[str, dict[str, Type]] = {
 }
 
 
-def must(holds: bool, message: str, span: Span) -> None:
+def require(holds: bool, message: str, span: Span) -> None:
     """Raise InternalError unless a condition holds."""
     if not holds:
         raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
-def must_not(message: str, span: Span) -> Type:
+def fail(message: str, span: Span) -> Type:
     """Raise InternalError."""
     raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
@@ -54,7 +54,7 @@ _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 def literal_type(value: object, span: Span) -> Type:
     type_ = _LITERALS.get(type(value))
     if type_ is None or (type_ is FLOAT and not isfinite(value)):  # type: ignore[arg-type]
-        return must_not("the value is not a literal, or not finite", span)
+        return fail("the value is not a literal, or not finite", span)
     return type_
 
 
@@ -73,7 +73,7 @@ def at_type(type_: Type, span: Span) -> Type:
         case Sequence("List" | "Queue", element) | PerRobot(element):
             return element
         case _:
-            must(type_ == STRING, f"a {type_} has no index", span)
+            require(type_ == STRING, f"a {type_} has no index", span)
             return STRING
 
 
@@ -86,7 +86,7 @@ def binary_type(op: str, left: Type, right: Type, span: Span) -> Type:
         return POINT
     if op == "+" and left == right and (left == STRING or (isinstance(left, Sequence) and left.name == "List")):
         return left
-    return must_not(f"{op} does not apply to {left} and {right}", span)
+    return fail(f"{op} does not apply to {left} and {right}", span)
 
 
 def _word(type_: Type) -> str:
@@ -118,7 +118,7 @@ def builtin_type(name: str, types: list[Type], span: Span) -> Type:
         result = _result(signature, types)
         if result is not None:
             return result
-    return must_not(f"no builtin {name} takes ({', '.join(map(str, types))})", span)
+    return fail(f"no builtin {name} takes ({', '.join(map(str, types))})", span)
 
 
 def _result(signature: Signature, types: list[Type]) -> Type | None:

@@ -201,11 +201,11 @@ class Run:
             value = next(values, None)
             if value is not None and isinstance(loop, stmt.For):  # before its invariants are evaluated, as on robots
                 self.budget.spend(1, loop.span)
-            self.judge(loop.invariants)
+            self.check_invariants(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
                 return None
             if isinstance(loop, stmt.For):
-                self.take(loop.names, value)
+                self.bind_element(loop.names, value)
             else:
                 self.budget.spend(1, loop.span)
             left = self.block(loop.block)
@@ -221,12 +221,12 @@ class Run:
         """
         for following in count:
             value = next(values, None)
-            self.take(names, following)
+            self.bind_element(names, following)
             if value is None:
                 return
             yield value
 
-    def judge(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
+    def check_invariants(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
         """Record invariants that are false or have no value.
 
         Raises Discarded if they use up the event's turns.
@@ -241,7 +241,7 @@ class Run:
             if not held:
                 self.budget.violated[invariant.span] = None
 
-    def take(self, names: tuple[str, ...], value: Value) -> None:
+    def bind_element(self, names: tuple[str, ...], value: Value) -> None:
         """Assign an element to the variables of a loop."""
         parts = (value,) if len(names) == 1 else items(value)
         self.temps.update(zip(names, parts, strict=True))

@@ -201,7 +201,7 @@ class _Layout:
             self._bracket((token, token, line, column))
             return token
         if token in _SOFT:
-            return self._soft(token)
+            return self._soft_keyword(token)
         if token == "'" and before in _BEFORE_PRIME:
             return token
         # Report an unclosed string here: it may hide closing brackets, so the open ones are dropped.
@@ -223,13 +223,13 @@ class _Layout:
         while indent < self.indents[-1]:
             left, begun = self.indents.pop(), self.lines.pop()
             if indent > self.indents[-1]:
-                self._between(line, indent, begun, left)
+                self._report_between(line, indent, begun, left)
                 self.indents.append(indent)  # the line counts as part of the inner block
                 self.lines.append(line)
                 break
             self.chunk.tokens.append(("DEDENT", "", line, indent + 1))
 
-    def _between(self, line: int, indent: int, begun: int, left: int) -> None:
+    def _report_between(self, line: int, indent: int, begun: int, left: int) -> None:
         """Report a line whose indentation lies between a block's and its parent's.
 
         The block begins in line `begun` and is indented by `left` spaces.
@@ -300,7 +300,7 @@ class _Layout:
         tokens.pop()
         return True
 
-    def _soft(self, text: str) -> str:
+    def _soft_keyword(self, text: str) -> str:
         """Return the type of a soft keyword's token."""
         tokens = self.chunk.tokens
         last = tokens[-1][0] if tokens else ""

@@ -18,7 +18,7 @@ from koordgen.lang.syntax.layout import DEEPEST_BLOCKS
 DEEPEST_TREE = 100
 
 
-class Stuck(Exception):
+class UnexpectedToken(Exception):
     """A syntax error: the parser cannot continue at `tokens[position]`."""
 
     def __init__(self, position: int) -> None:
@@ -129,7 +129,7 @@ def run(tokens: Sequence[Any]) -> Any:
                 states.append(state)
         if action is None:
             if state != END:
-                raise Stuck(position)
+                raise UnexpectedToken(position)
             return values[0]
         state = action
         states.append(state)

@@ -85,12 +85,12 @@ def _equals(site: ErrorSite) -> Diagnostic | None:
     if any(token[0] == "=" or token[0] in _AUGMENTED for token in site.head) and not site.bracket:
         help = "write each assignment on its own line"
         return site.error("an assignment has no value and cannot be part of another one", help)
-    if site.bracket or _governing(site) in _CONDITIONS:
+    if site.bracket or _line_keyword(site) in _CONDITIONS:
         return site.error("'=' assigns and cannot be used in a condition", "'==' compares")
     return site.error("the left side of '=' cannot be assigned", span=place(site.head[0], site.head[-1]))
 
 
-def _governing(site: ErrorSite) -> str:
+def _line_keyword(site: ErrorSite) -> str:
     """Return the keyword that determines the kind of a line.
 
     It is the line's first word, or that of the header above its block.
@@ -116,11 +116,11 @@ def _colon(site: ErrorSite) -> Diagnostic | None:
     header = site.tokens[-1] if site.ends else (site.rest or [site.first])[-1]
     deeper = any(token[0] == "INDENT" for token in site.tokens[: site.position + 2])
     if site.start == 0 and site.first[0] == "NAME" and header[0] != ":" and not deeper:
-        help = _outside(site)
+        help = _margin_help(site)
     return site.error(f"expected ':' {_after(site.tokens, site.position)}", help, span)
 
 
-def _outside(site: ErrorSite) -> str:
+def _margin_help(site: ErrorSite) -> str:
     """Return a help for a line at the left margin that is not a header."""
     kinds = [token[0] for token in site.tokens[: site.position + 2]]
     if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:

@@ -9,7 +9,7 @@ from koordgen.lang.diagnostics import Diagnostic, in_order
 from koordgen.lang.source import Source
 from koordgen.lang.syntax import build, decl
 from koordgen.lang.syntax.layout import sections
-from koordgen.lang.syntax.lr import Stuck, section
+from koordgen.lang.syntax.lr import UnexpectedToken, section
 
 
 def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
@@ -24,12 +24,12 @@ def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
         read: list[Any] = []
         found: list[Diagnostic] = []
         for chunk in chunks:
-            wrong: Stuck | build.BuilderError | None = None
+            wrong: UnexpectedToken | build.BuilderError | None = None
             if not chunk.faults:
                 try:
                     read.append(section(chunk.tokens, chunk.long))
                     continue
-                except (Stuck, build.BuilderError) as error:
+                except (UnexpectedToken, build.BuilderError) as error:
                     wrong = error
             from koordgen.lang.syntax.recover import recovered
 

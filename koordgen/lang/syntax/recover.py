@@ -16,7 +16,7 @@ from koordgen.lang.syntax import build, decl
 from koordgen.lang.syntax._generated.grammar import START, STATES
 from koordgen.lang.syntax.build import token_span
 from koordgen.lang.syntax.layout import Chunk
-from koordgen.lang.syntax.lr import DEEPEST_TREE, ROWS, Stuck, section, too_deep
+from koordgen.lang.syntax.lr import DEEPEST_TREE, ROWS, UnexpectedToken, section, too_deep
 from koordgen.lang.syntax.mistake import explain
 
 MOST_FAULTS = 30  # diagnostics reported for one text
@@ -31,7 +31,9 @@ Tokens = list[Any]
 States = list[int]
 
 
-def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.BuilderError | None) -> decl.Section:
+def recovered(
+    chunk: Chunk, found: list[Diagnostic], wrong: UnexpectedToken | build.BuilderError | None
+) -> decl.Section:
     """Return the node of a section with errors: in its layout, or `wrong`, which ended the first attempt.
 
     Adds their diagnostics to `found`, up to MOST_FAULTS.
@@ -42,7 +44,7 @@ def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Builde
         if wrong is None and faults and repair.readable(faults[-1]):
             repair.fault(faults.pop())
         elif wrong is not None:
-            if isinstance(wrong, Stuck):
+            if isinstance(wrong, UnexpectedToken):
                 repair.stuck(wrong.position)
             else:
                 repair.fault(wrong.diagnostic)
@@ -50,7 +52,7 @@ def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Builde
         else:
             try:
                 return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
-            except (Stuck, build.BuilderError) as error:
+            except (UnexpectedToken, build.BuilderError) as error:
                 wrong = error
     first = chunk.tokens[0]
     return decl.BrokenSection(_names(chunk.tokens), Span(first[2], first[3], first[2], first[3] + len(first[1])))

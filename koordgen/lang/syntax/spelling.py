@@ -33,7 +33,7 @@ def misspelt_keyword(site: ErrorSite) -> Diagnostic | None:
     if {"pre", "eff"} & site.expected:
         tries.append((tokens[0], _SECTIONS))
     for token, choices in tries:
-        meant = _near(token[1], choices) if token[0] == "NAME" else ""
+        meant = _similar_keyword(token[1], choices) if token[0] == "NAME" else ""
         if meant:
             message = f"'{shown(token[1])}' is not a keyword of Koord"
             return site.error(message, f"did you mean '{meant}'?", place(token, token))
@@ -53,16 +53,16 @@ def _beginning(site: ErrorSite) -> tuple[str, ...]:
     return _STATEMENTS if section in ("NAME", "priority", "init", "fun", "def") else ()
 
 
-def _near(word: str, choices: Iterable[str]) -> str:
+def _similar_keyword(word: str, choices: Iterable[str]) -> str:
     if word in _RIGHT or len(word) > 20:
         return ""
     for choice in choices:
-        if word != choice and (word.lower() == choice or _one_slip(word, choice)):
+        if word != choice and (word.lower() == choice or _differs_by_one_slip(word, choice)):
             return choice
     return ""
 
 
-def _one_slip(word: str, meant: str) -> bool:
+def _differs_by_one_slip(word: str, meant: str) -> bool:
     """Return whether a word differs by two swapped letters, or by one wrong, missing or extra letter.
 
     In short words fewer differences count, because they resemble too many other words.

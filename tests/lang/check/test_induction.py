@@ -96,18 +96,18 @@ def test_no_state_defeats_what_is_proved_in_20000_programs() -> None:
     assert run(range(1000, 21000)) > 5000
 
 
-def not_established(turns: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
-    begins = turns.first(turns.before)
+def not_established(model: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
+    begins = model.first(model.before)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(induction, "_proved", lambda candidate, flow: flow is begins or HELD(candidate, flow))
-        return KEPT(turns._replace(first=lambda flow: begins), candidates)
+        return KEPT(model._replace(first=lambda flow: begins), candidates)
 
 
-def not_kept(turns: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
-    return KEPT(turns._replace(block=()), candidates)
+def not_kept(model: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
+    return KEPT(model._replace(block=()), candidates)
 
 
-def broken_off(candidate: Candidate, turns: LoopModel, broken: list[Flow]) -> bool:
+def broken_off(candidate: Candidate, model: LoopModel, broken: list[Flow]) -> bool:
     return True
 
 

@@ -73,41 +73,41 @@ class _TooManyPaths(Exception):
     """The block has more paths through it than `MOST_PATHS`."""
 
 
-def kept(turns: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
+def kept(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
     """Return the candidates that always hold at the loop's head.
 
     Sound: each of them is proved before the loop, and at the end of each path through the block under the assumption
     that all of them hold at its head.
     """
-    begins = turns.first(turns.before)
+    begins = model.first(model.before)
     found = [candidate for candidate in candidates if _proved(candidate, begins)]
     while found:
         paths = _Paths()
-        flow = turns.enter(assuming(turns.start, found))
+        flow = model.enter(assuming(model.start, found))
         try:
-            paths.turned += _paths_through(turns.block, [flow], paths)
+            paths.turned += _paths_through(model.block, [flow], paths)
         except _TooManyPaths:
             break
-        ends = [turns.next(end) for end in paths.turned]
+        ends = [model.next(end) for end in paths.turned]
         left = [candidate for candidate in found if all(_proved(candidate, end) for end in ends)]
         if len(left) == len(found):
             return ProvedCandidates(
-                tuple(found), tuple([c for c in found if _holds_after_loop(c, turns, paths.broken)])
+                tuple(found), tuple([c for c in found if _holds_after_loop(c, model, paths.broken)])
             )
         found = left
     return ProvedCandidates((), ())
 
 
-def _holds_after_loop(candidate: Candidate, turns: LoopModel, broken: list[Flow]) -> bool:
+def _holds_after_loop(candidate: Candidate, model: LoopModel, broken: list[Flow]) -> bool:
     """Return whether a condition that holds at the loop's head also holds at each `break`."""
-    if turns.counter in names_of(candidate(turns.start)):
-        broken = [turns.last(end) for end in broken]
+    if model.counter in names_of(candidate(model.start)):
+        broken = [model.last(end) for end in broken]
     return all(_proved(candidate, end) for end in broken)
 
 
-def after_loop(turns: LoopModel, found: ProvedCandidates) -> Flow:
+def after_loop(model: LoopModel, found: ProvedCandidates) -> Flow:
     """Return the facts known after a loop."""
-    return turns.leave(assuming(turns.last(turns.start), found.after_loop))
+    return model.leave(assuming(model.last(model.start), found.after_loop))
 
 
 def assuming(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
@@ -199,33 +199,33 @@ def _holds(node: ir.Expr) -> Candidate:
     return lambda flow: formula(node, flow)
 
 
-def guessed_bounds(turns: LoopModel, condition: ir.Expr | None) -> list[Candidate]:
+def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidate]:
     """Return guessed bounds of the ints that a loop writes.
 
     Bounds are their initial values, the condition of `while`, and the loop's variable.
     """
-    reads = dict.fromkeys(_assigned_ints(turns.block))
+    reads = dict.fromkeys(_assigned_ints(model.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
-        begin = turns.before.value(variable_of(read) or "")
-        if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
+        begin = model.before.value(variable_of(read) or "")
+        if isinstance(begin, Linear) and independent(begin, model.changed, model.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
-        found += _known(read, turns)
-        if turns.stop is not None:  # for a search: the index of a match is at most the current index
-            here = linear.variable(turns.counter)
+        found += _known(read, model)
+        if model.stop is not None:  # for a search: the index of a match is at most the current index
+            here = linear.variable(model.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
-            found.append(_at_most(read, linear.combine(turns.stop, linear.constant(-1))))
+            found.append(_at_most(read, linear.combine(model.stop, linear.constant(-1))))
     for part in conjuncts(condition) if condition is not None else ():
         match part:
             case ir.Compare("<" | "<=" | "!=" as op, left, right) if left in reads:
-                found += _within(left, right, int(op == "<="), 1, turns)
+                found += _within(left, right, int(op == "<="), 1, model)
             case ir.Compare(">" | ">=" | "!=" as op, left, right) if left in reads:
-                found += _within(left, right, int(op == ">="), -1, turns)
+                found += _within(left, right, int(op == ">="), -1, model)
         match part:
             case ir.Compare(">" | ">=" | "!=" as op, left, right) if right in reads:
-                found += _within(right, left, int(op == ">="), 1, turns)
+                found += _within(right, left, int(op == ">="), 1, model)
             case ir.Compare("<" | "<=" | "!=" as op, left, right) if right in reads:
-                found += _within(right, left, int(op == "<="), -1, turns)
+                found += _within(right, left, int(op == "<="), -1, model)
     return found
 
 
@@ -243,14 +243,14 @@ def _assigned_ints(block: stmt.Block) -> Iterator[ir.Expr]:
                 pass
 
 
-def _known(read: ir.Expr, turns: LoopModel) -> Iterator[Candidate]:
+def _known(read: ir.Expr, model: LoopModel) -> Iterator[Candidate]:
     """Yield the comparisons of a variable that are known before the loop."""
     name = variable_of(read)
-    for fact in turns.before.facts:
+    for fact in model.before.facts:
         for part in fact.parts if isinstance(fact, linear.And) else (fact,):
             if isinstance(part, linear.AtLeastZero) and isinstance(name, str):
                 rest = linear.substitute(part.linear, name, linear.constant(0))
-                if rest != part.linear and independent(rest, turns.changed, turns.sized):
+                if rest != part.linear and independent(rest, model.changed, model.sized):
                     yield _compared(read, name, part.linear)
 
 
@@ -281,7 +281,7 @@ def _term(read: ir.Expr, flow: Flow) -> Linear:
     return found
 
 
-def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: LoopModel) -> list[Candidate]:
+def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, model: LoopModel) -> list[Candidate]:
     """Return the candidate sign * read <= sign * bound + beyond.
 
     If the variable may begin outside of this bound, the candidate also allows values up to its initial value.
@@ -294,10 +294,10 @@ def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: LoopMo
         rest = linear.combine(end, _term(read, flow), -1)
         return linear.AtLeastZero(linear.combine(linear.constant(beyond), rest, sign))
 
-    begin = turns.before.value(variable_of(read) or "")
-    if not isinstance(begin, Linear) or not independent(begin, turns.changed, turns.sized):
+    begin = model.before.value(variable_of(read) or "")
+    if not isinstance(begin, Linear) or not independent(begin, model.changed, model.sized):
         return [within]
-    if _proved(within, turns.before):
+    if _proved(within, model.before):
         return [within]
     least = _at_most(read, begin) if sign > 0 else _at_least(read, begin)
 

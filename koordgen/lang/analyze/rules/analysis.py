@@ -79,15 +79,15 @@ class Analysis(Reporter):
     def flow(self, flow: Flow | None) -> None:
         self.path = None if flow is None else known(flow)
 
-    def mark(self) -> SavedState:
+    def saved_state(self) -> SavedState:
         """Save the current state, for `restore`."""
         kept = {name: _copied(value) for name, value in vars(self).items() if name not in _LASTING}
         return SavedState(len(self.found), kept)
 
-    def restore(self, mark: SavedState) -> None:
+    def restore(self, saved_state: SavedState) -> None:
         """Restore a saved state; diagnostics since then are dropped."""
-        del self.found[mark.found :]
-        vars(self).update({name: _copied(value) for name, value in mark.kept.items()})
+        del self.found[saved_state.found :]
+        vars(self).update({name: _copied(value) for name, value in saved_state.kept.items()})
 
     def error(self, code: str, message: str, span: Any, help: str = "", labels: Any = ()) -> None:
         """Add an error."""

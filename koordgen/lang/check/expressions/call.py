@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Many
 
-from koordgen.lang.check.base import argument, check_expr, converted, is_poisoned, same_type, widened, with_article
+from koordgen.lang.check.base import (
+    check_expr,
+    converted,
+    converted_argument,
+    is_poisoned,
+    same_type,
+    widened,
+    with_article,
+)
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.lang.check.expressions.dialect import old_call
@@ -18,10 +26,10 @@ from koordgen.lang.check.expressions.name import (
     methods_of,
     module_named,
     names_a_value,
-    not_called,
-    word_of,
+    report_not_called,
+    type_word,
 )
-from koordgen.lang.check.invariant import check_old, port_called
+from koordgen.lang.check.invariant import check_old, report_port_call
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, ORDERED, UPDATES, VARIABLES, K, N, Signature
@@ -121,7 +129,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
         return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
     if names_a_value(name, c):
-        not_called(name, function.span, c)
+        report_not_called(name, function.span, c)
         return c.poison(node.span, *args)
     if name in c.broken or name in c.owners:
         return c.poison(node.span, *args)
@@ -169,7 +177,7 @@ def _converted_arguments(
     for node, type_ in zip(nodes, types, strict=True):
         value = check_expr(node, c, type_)
         before = len(c.found)
-        args.append(argument(value, type_, f"an argument of {name}", c))
+        args.append(converted_argument(value, type_, f"an argument of {name}", c))
         _add_help(before, takes, c)
     return tuple(args)
 
@@ -197,7 +205,7 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
         return c.poison(node.span, arg)
     for signature in signatures:
         bound: Bound = {}
-        value = bind(signature.args[0], arg, bound)
+        value = match_argument(signature.args[0], arg, bound)
         if value is not None:
             result = substituted(signature.result, bound)
             assert result is not None
@@ -227,11 +235,11 @@ def _applied(
     poisoned = False
     patterns = signature.args
     if first is not None:
-        args.append(bind(patterns[0], first, bound) or first)
+        args.append(match_argument(patterns[0], first, bound) or first)
         patterns = patterns[1:]
     for pattern, node in zip(patterns, nodes, strict=True):
         value = check_expr(node, c, substituted(pattern, bound))
-        taken = value if value.type is POISON else bind(pattern, value, bound)
+        taken = value if value.type is POISON else match_argument(pattern, value, bound)
         args.append(value if taken is None else taken)
         poisoned = poisoned or taken is None or taken.type is POISON
         if taken is None:
@@ -252,7 +260,7 @@ def _applied(
 
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
-    if isinstance(function.value, ast.Name) and _unknown(function.value.name, c) and function.name in FUNCTIONS:
+    if isinstance(function.value, ast.Name) and _is_unknown(function.value.name, c) and function.name in FUNCTIONS:
         args = skip(node, c)  # math.sqrt(2)
         message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
         return c.error("K010", message, function.value.span, help, (), *args)
@@ -260,7 +268,7 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if operand.type is POISON:
         return c.poison(node.span, operand, *skip(node, c))
     type_, name = operand.type, function.name
-    word = "List" if isinstance(type_, PerRobot) else word_of(type_)
+    word = "List" if isinstance(type_, PerRobot) else type_word(type_)
     signature = METHODS.get((word, name))
     if signature is not None:
         nodes = positional_arguments(node, name, (len(signature.args) - 1,), "", c)
@@ -274,18 +282,18 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
         message = f"{name} changes {text}: it cannot be used within an expression"
         return c.error("K027", message, node.span, help, (), *parts)
-    no_method(operand, function, c)
+    report_no_method(operand, function, c)
     return c.poison(node.span, *parts)
 
 
-def _unknown(name: str, c: Context) -> bool:
+def _is_unknown(name: str, c: Context) -> bool:
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
-def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
+def report_no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
     """Report that a value has no such method, and suggest what to write."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
-    word = word_of(type_)
+    word = type_word(type_)
     if field_of(type_, name) is not None:
         c.error("K017", f"{text}.{name} is a field and is not called", function.span)
         return
@@ -352,7 +360,7 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     if len(nodes) == 2:
         obstacles = check_expr(nodes[1], c, _OBSTACLES[0])
         if not any(same_type(obstacles.type, type_) for type_ in _OBSTACLES):
-            obstacles = argument(obstacles, _OBSTACLES[1], "the second argument", c)
+            obstacles = converted_argument(obstacles, _OBSTACLES[1], "the second argument", c)
         args.append(obstacles)
     if c.place == "assume" and module.name != c.module:
         message = f"an assumption can only use its module's ports, params and pid, not {name}"
@@ -364,7 +372,7 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         message = f"{what} cannot call {name}: its answer is an input of the event"
         return c.error("K027", message, node.span, help, (), *args)
     if c.entry is not None:
-        return port_called(name, node, c)
+        return report_port_call(name, node, c)
     if is_poisoned(args):
         return c.poison(node.span, *args)
     return ir.PortCall(module.name, port.name, tuple(args), _PATH, node.span)
@@ -433,7 +441,7 @@ _VARIABLES = {variable.name for variable in VARIABLES}
 _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or string"}
 
 
-def bind(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
+def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
     """Match an argument with the pattern of its parameter; None if it does not match.
 
     Returns the value, widened to a float if the pattern asks for one. Adds the types of the pattern's variables to

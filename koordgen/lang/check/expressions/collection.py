@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from koordgen.lang.check.base import (
-    argument,
     check_expr,
     condition,
     converted,
+    converted_argument,
     is_display,
     is_poisoned,
-    per_robot,
+    report_missing_index,
     same_type,
     widened,
     with_article,
 )
 from koordgen.lang.check.context import Context, Temp
-from koordgen.lang.check.expressions.name import declared_port, module_named, shared_in_init
+from koordgen.lang.check.expressions.name import declared_port, module_named, report_shared_in_init
 from koordgen.lang.check.names import is_reserved
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
@@ -131,7 +131,7 @@ def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Contex
 
 def _single(value: ir.Expr, c: Context) -> ir.Expr:
     """Return a part of a composed value; report an allread variable without an index."""
-    return per_robot(value, c) if isinstance(value.type, PerRobot) else value
+    return report_missing_index(value, c) if isinstance(value.type, PerRobot) else value
 
 
 def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | None) -> ir.Expr:
@@ -159,7 +159,7 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
         if type(entity) is Shared and entity.kind == "allread":
             return _slot(node, entity, c)
         if type(entity) is Local and c.place == "property":
-            index = robot(node.index, c)
+            index = robot_index(node.index, c)
             return index if index.type is POISON else ir.LocalOf(entity.name, index, entity.type, node.span)
     elif type(value) is ast.Attribute and c.place == "property":
         module = module_named(value.value, c)
@@ -172,7 +172,7 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
     return element(operand, index, node, c)
 
 
-def robot(node: ast.Expr, c: Context) -> ir.Expr:
+def robot_index(node: ast.Expr, c: Context) -> ir.Expr:
     """Check the index of a robot in a property."""
     return converted(check_expr(node, c), INT, "an index", c)
 
@@ -181,7 +181,7 @@ def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
     module = module_named(value.value, c)
     assert module is not None
     port = declared_port(module, value, c)
-    index = robot(node.index, c)
+    index = robot_index(node.index, c)
     if port is None or index.type is POISON:
         return c.poison(node.span, index)
     if port.direction not in ("sensor", "actuator"):
@@ -201,7 +201,7 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
         case "function" | "contract" | "assume":
             return check_expr(node.value, c)  # reports why the variable cannot be read
         case "init" if not isinstance(index, ir.Pid):
-            return shared_in_init(c.text(node.span), node.span, c)
+            return report_shared_in_init(c.text(node.span), node.span, c)
     return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
 
 
@@ -287,7 +287,7 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
         what = f"the value to look for in {with_article(values.type)}"
     else:
         what = f"an element of this {values.type.name if isinstance(values.type, Sequence) else 'variable'}"
-    item = argument(item, held, what, c)
+    item = converted_argument(item, held, what, c)
     if item.type is POISON:
         return item
     found = ir.Contains(item, values, BOOL, span)

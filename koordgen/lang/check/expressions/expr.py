@@ -11,7 +11,7 @@ from koordgen.lang.check.base import (
     has_call,
     help_for_bool,
     is_display,
-    per_robot,
+    report_missing_index,
     same_type,
     widened,
     with_article,
@@ -60,7 +60,7 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
     if type_ is BOOL if op == "not" else type_ is INT or type_ is FLOAT or type_ is POINT:
         return ir.Unary(op, operand, type_, node.span)
     if isinstance(type_, PerRobot):
-        return per_robot(operand, c)
+        return report_missing_index(operand, c)
     help = help_for_bool(operand, c, "==") if op == "not" else ""
     return c.error("K012", f"'{op}' does not apply to {with_article(type_)}", node.span, help, (), operand)
 
@@ -114,7 +114,7 @@ def _differs_from_zero(number: ir.Expr) -> bool:
 def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
     for side in (left, right):
         if isinstance(side.type, PerRobot):
-            return per_robot(side, c)
+            return report_missing_index(side, c)
     help = ""
     if op == "+" and STRING in (left.type, right.type):
         help = _help_for_joined(left, right, c)
@@ -201,7 +201,7 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
         return ir.Compare(op, left, right, BOOL, span)
     for side in (left, right):
         if isinstance(side.type, PerRobot):
-            return per_robot(side, c)
+            return report_missing_index(side, c)
     if not same_type(first, second):
         message = f"{with_article(first)} and {with_article(second)} cannot be compared"
         return c.error("K012", message, span, _help_for_compared(left, right, c), (), left, right)
@@ -256,7 +256,7 @@ def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.E
     if held.type is POISON or then.type is POISON or orelse.type is POISON:
         return c.poison(node.span, value)
     if isinstance(then.type, PerRobot):
-        return per_robot(then, c)
+        return report_missing_index(then, c)
     if not same_type(then.type, orelse.type):
         message = f"this is {with_article(then.type)} or {with_article(orelse.type)}; both must be of one type"
         return c.error("K012", message, node.span, "", (), value)

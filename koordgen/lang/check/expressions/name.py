@@ -136,13 +136,13 @@ def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
         if wrong is not None:
             return wrong
     if c.place == "init":
-        return shared_in_init(name, span, c)
+        return report_shared_in_init(name, span, c)
     if entity.kind == "allread":
         return ir.SlotsRead(name, PerRobot(entity.type), span)
     return ir.SharedRead(name, entity.type, span)
 
 
-def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
+def report_shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
     help = "other robots may not have run init yet: use a local variable, or do this in an event"
     return c.error("K023", f"init cannot read {name}: it is shared", span, help)
 
@@ -185,17 +185,17 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
         return c.error("K017", "range is not a value", span, "use it in a loop: 'for i in range(n):'")
     if name in VALUES:
         return check_expr(old_name(node, c), c)
-    return undefined(name, span, c)
+    return report_undefined(name, span, c)
 
 
-def undefined(name: str, span: Span, c: Context) -> ir.Expr:
+def report_undefined(name: str, span: Span, c: Context) -> ir.Expr:
     """Report an undefined name, unless text that could not be parsed may define it."""
     if name in c.broken or name in c.owners:
         return c.poison(span)
     if c.place == "assume":
-        from koordgen.lang.check.property import goal
+        from koordgen.lang.check.property import bind_goal
 
-        temp = goal(name, span, c)
+        temp = bind_goal(name, span, c)
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if c.place == "property":
@@ -219,7 +219,7 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
     return c.error("K010", f"{name} is not defined", span, help)
 
 
-def not_called(name: str, span: Span, c: Context) -> None:
+def report_not_called(name: str, span: Span, c: Context) -> None:
     """Report a call of a value. The value's name may hide a builtin function; the message says so."""
     owner = c.temp(name) or c.entities.get(name)
     if name not in FUNCTIONS or owner is None:
@@ -294,7 +294,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
     if module is not None:
         port = declared_port(module, node, c)
         return c.poison(node.span) if port is None else _read_port(module.name, port, node.span, c)
-    if type(node.value) is ast.Name and unknown(node.value.name, c) and node.name.lower() in _MATHS:
+    if type(node.value) is ast.Name and is_unknown(node.value.name, c) and node.name.lower() in _MATHS:
         name = node.value.name  # math.pi
         return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
     operand = check_expr(node.value, c)
@@ -302,7 +302,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
         return c.poison(node.span, operand)
     field = field_of(operand.type, node.name)
     if field is None:
-        return no_field(operand, node, c)
+        return report_no_field(operand, node, c)
     return ir.Field(operand, node.name, field, node.span)
 
 
@@ -367,17 +367,17 @@ def field_of(type_: Type, name: str) -> Type | None:
     return fields_of(type_).get(name)
 
 
-def word_of(type_: Type) -> str:
+def type_word(type_: Type) -> str:
     """Return the name of a type in the tables of methods."""
     return type_.name if isinstance(type_, Sequence) else "Map" if isinstance(type_, MapOf) else str(type_)
 
 
 def methods_of(type_: Type) -> list[str]:
-    word = word_of(type_)
+    word = type_word(type_)
     return [name for of, name in (*METHODS, *UPDATES, ("List", "pop"), ("Queue", "pop")) if of == word]
 
 
-def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
+def report_no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
     """Report that a value has no such field, and suggest what to write."""
     type_, name, text = operand.type, node.name, c.text(node.value.span)
     fields = fields_of(type_)
@@ -399,7 +399,7 @@ def _listed(fields: dict[str, Type]) -> str:
     return f"{', '.join(others)} and {last}" if others else last
 
 
-def unknown(name: str, c: Context) -> bool:
+def is_unknown(name: str, c: Context) -> bool:
     """Return whether a name is undefined, also in text that could not be parsed."""
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 

@@ -11,7 +11,7 @@ from typing import Literal
 from koordgen.lang.check.base import check_expr, converted, default
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.names import enter, is_owner, unique
-from koordgen.lang.check.types import dialect_element, per_robot, resolve, with_capacities
+from koordgen.lang.check.types import dialect_element, is_fleet_size, resolve, with_capacities
 from koordgen.lang.diagnostics import Edit
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.capacity import excess
@@ -42,12 +42,12 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
 
     Returns the records, each after those in its fields; wrong ones have no type.
     """
-    from koordgen.lang.check.graph import ordered
+    from koordgen.lang.check.graph import topological_order
 
     for node in sections:
         c.types[node.name] = None
     owned = {node.name: node for node in sections if is_owner(node.name, node, c)}
-    order, cycles = ordered({name: _field_type_names(node) for name, node in owned.items()})
+    order, cycles = topological_order({name: _field_type_names(node) for name, node in owned.items()})
     for cycle in cycles:
         way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
         help = "a record holds values, not references; use an index into a list instead"
@@ -161,7 +161,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
             resolve(type_, c)
             return POISON  # a list type would make indices of it errors, too: an echo of this one
     elif node.size is not None:
-        if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
+        if not is_fleet_size(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
     elif isinstance(type_, written.GenericType) and type_.name == "[]":
         element = dialect_element(type_.args[0], c)

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
-from koordgen.lang.check.graph import ordered
+from koordgen.lang.check.graph import topological_order
 from koordgen.lang.check.names import enter, is_owner, is_reserved, unique
 from koordgen.lang.check.statements.stmt import check_block
-from koordgen.lang.check.types import per_robot, resolve
+from koordgen.lang.check.types import is_fleet_size, resolve
 from koordgen.lang.diagnostics import Edit, Label
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.types import POISON, PerRobot, Type
@@ -45,7 +45,7 @@ def _parameter_type(node: ast.Parameter, c: Context) -> Type:
     type_ = resolve(node.type, c)
     if node.size is None or type_ == POISON or isinstance(node.size, tree.Broken):
         return type_
-    if not per_robot(node.size, c):
+    if not is_fleet_size(node.size, c):
         message = f"only N_SYS is a size: {node.name} has one value for each robot, or it is a list"
         c.error("K017", message, node.size.span, f"write {type_} {node.name}[N_SYS], or List<{type_}> {node.name}")
         return POISON
@@ -66,7 +66,7 @@ def specs(sections: Iterable[ast.SpecFunction], c: Context) -> tuple[decl.SpecFu
 Signed = list[tuple[ast.Function, Signature]]
 
 
-def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
+def check_bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
     """Check the bodies of functions. Returns the functions, each after the functions that it calls."""
     signed = _callees_first(signed, c)
     checked = {}
@@ -74,7 +74,7 @@ def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
         function = _body(node, known, c)
         enter(node.name, node, function, c)
         checked[node.name] = function
-    order, cycles = ordered({name: sorted(c.calls.get(name, ())) for name in checked})
+    order, cycles = topological_order({name: sorted(c.calls.get(name, ())) for name in checked})
     for cycle in cycles:
         if len(cycle) == 1:
             message = f"the function {cycle[0]} calls itself"
@@ -95,7 +95,9 @@ def _callees_first(signed: Signed, c: Context) -> Signed:
         return signed
     by_name = {node.name: (node, known) for node, known in signed if is_owner(node.name, node, c)}
     calls = {name: _called(node) for name, (node, _) in by_name.items()}
-    return [by_name[name] for name in ordered(calls)[0]] + [s for s in signed if not is_owner(s[0].name, s[0], c)]
+    return [by_name[name] for name in topological_order(calls)[0]] + [
+        s for s in signed if not is_owner(s[0].name, s[0], c)
+    ]
 
 
 def _called(node: ast.Function) -> list[str]:

@@ -71,7 +71,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     params = param_defaults(of(ast.Param), c)
     shared, locals_ = variable_initials(typed, c)
     if any(written):
-        functions = function.bodies(signed, c)
+        functions = function.check_bodies(signed, c)
         externs = function.externs(written[1], c)
     init = _init(of(ast.Init), c)
     if not sections.keys() & {ast.Event, ast.Priority, ast.BrokenSection}:

@@ -6,7 +6,7 @@ from koordgen.lang.check.base import condition, with_article
 from koordgen.lang.check.context import Context, Out, check_block
 from koordgen.lang.check.expressions.collection import check_domain, declare, elements
 from koordgen.lang.check.expressions.dialect import old_for
-from koordgen.lang.check.invariant import check_invariants, split
+from koordgen.lang.check.invariant import check_invariants, split_invariants
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.types import POISON, MapOf, TupleOf, Type
@@ -23,7 +23,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     c.scopes.append({})
     temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     names = tuple([temp.unique for temp in temps if temp is not None])
-    head, rest = split(node.block)
+    head, rest = split_invariants(node.block)
     counted = isinstance(values, (ir.Range, ir.Ids))
     invariants = check_invariants(head, c, out, () if counted else names, names)
     block = _body(rest, c)
@@ -48,7 +48,7 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
 
 
 def check_while(node: tree.While, c: Context, out: Out) -> None:
-    head, rest = split(node.block)
+    head, rest = split_invariants(node.block)
     invariants = check_invariants(head, c, out)
     held = condition(node.condition, c, "the condition of 'while'")
     out.append(stmt.While(held, _body(rest, c), node.span, invariants))

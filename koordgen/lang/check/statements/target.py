@@ -8,19 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeGuard
 
-from koordgen.lang.check.base import argument, check_expr, converted, has_call, is_poisoned, with_article
+from koordgen.lang.check.base import check_expr, converted, converted_argument, has_call, is_poisoned, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
-from koordgen.lang.check.expressions.call import no_method, positional_arguments, skip
+from koordgen.lang.check.expressions.call import positional_arguments, report_no_method, skip
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
     FOREIGN,
     declared_port,
     field_of,
     module_named,
-    no_field,
     reject_robot_state,
     report_ended,
-    word_of,
+    report_no_field,
+    type_word,
 )
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
@@ -208,7 +208,7 @@ def _field(outer: AssignmentTarget, node: ast.Attribute, c: Context) -> Assignme
         return None
     field = field_of(type_, node.name)
     if field is None:
-        no_field(read, node, c)
+        report_no_field(read, node, c)
         return None
     if not isinstance(type_, RecordType):
         help = "assign a whole Point: p = Point(x, y, z)" if type_ is POINT else f"assign a whole {type_}"
@@ -264,13 +264,13 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         skip(node, c)
         return None
     type_, name = target.read.type, function.name
-    word = word_of(type_)
+    word = type_word(type_)
     if name == "pop" and word in ("List", "Queue"):
         return _pop(target, node, c)
     update = UPDATES.get((word, name))
     if update is None:
         skip(node, c)
-        no_method(target.read, function, c)
+        report_no_method(target.read, function, c)
         return None
     types = _arguments(type_, name)
     takes = f"{name} takes ({', '.join(map(str, types))})"
@@ -278,7 +278,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
     if not isinstance(nodes, tuple):
         return None
     args = [
-        argument(check_expr(arg, c, wanted), wanted, f"an argument of {name}", c)
+        converted_argument(check_expr(arg, c, wanted), wanted, f"an argument of {name}", c)
         for arg, wanted in zip(nodes, types, strict=True)
     ]
     if is_poisoned(args):
