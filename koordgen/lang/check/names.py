@@ -83,7 +83,7 @@ def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
     """Return whether a name is new in a namespace of its own, such as a record's fields.
 
-    Report it otherwise.
+    If it is not, this is reported.
     """
     first = seen.setdefault(name, span)
     if first is span:

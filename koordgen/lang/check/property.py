@@ -34,7 +34,7 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
 def bind_goal(name: str, span: Span, c: Context) -> Temp | None:
     """Bind an undefined name that an assumption passes to a callable port of its module.
 
-    None if it does not.
+    Returns None if it does not.
 
     From then on the name stands for every value that the port takes in this place.
     """

@@ -55,7 +55,7 @@ def show(found: CodeExplanation) -> str:
 def topic(word: str) -> str:
     """Return the text about a verdict, `skip` or one reason to skip, for a terminal.
 
-    Empty for other words.
+    Returns an empty string for other words.
     """
     for heading, body in topics().items():
         if word.casefold() == heading.casefold() or f"\n- `{word.casefold()}`:" in body:

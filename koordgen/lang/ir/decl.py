@@ -127,7 +127,7 @@ def goals(assumption: Assumption) -> dict[str, Type]:
 def handed(node: Node, bound: frozenset[str] = frozenset()) -> Iterator[tuple[PortCall, dict[int, TempRead]]]:
     """Yield each call of a port whose arguments include temps that the formula does not bind.
 
-    With it, these temps by the index of the argument.
+    The second item has these temps by the index of the argument.
     """
     if isinstance(node, Quantified):
         yield from handed(node.domain, bound)

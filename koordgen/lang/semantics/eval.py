@@ -136,7 +136,7 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
 def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
     """Return the values of a loop over a range or `ID`, and the same sequence without an end.
 
-    None for other loops.
+    Returns None for other loops.
     """
     match node:
         case ir.Range(start, stop, step):
@@ -217,7 +217,7 @@ def _quantified(node: ir.Quantified, view: View) -> Value:
 
 
 def _range(node: ir.Range, view: View) -> Value:
-    raise InternalError("a range is no value")
+    raise InternalError("a range is not a value")
 
 
 def _field(node: ir.Field, view: View) -> Value:

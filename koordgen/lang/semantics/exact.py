@@ -102,7 +102,7 @@ def _bits(number: Fraction) -> int:
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
     """Return the least distance of two paths with exact coordinates, in metres.
 
-    Infinity if one has no points.
+    The distance is infinite if one path has no points.
     """
     if not a or not b:
         return math.inf

@@ -40,7 +40,7 @@ def choice(
 ) -> Step | None:  # fmt: skip
     """Return the step of one event of a robot that has not stopped.
 
-    None if it is not among the robot's `choices`.
+    Returns None if it is not among the robot's `choices`.
     """
     copy = state if begun is None else state._replace(store=begun)
     seen = copy if event.lock is None else state

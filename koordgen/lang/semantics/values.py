@@ -176,7 +176,7 @@ def has_nan(value: object) -> bool:
 def flaw(value: Any, type_: Type) -> str:
     """Return why a variable, slot or actuator of a type cannot store a value of that type.
 
-    Empty if it can.
+    Returns an empty string if it can.
 
     Stored floats are finite, at any depth, so no NaN outlives its event. Stored ints have at most 64 bits: an int that
     is squared every round would soon block the robot.

@@ -204,7 +204,7 @@ def _after(tokens: list[Token], position: int) -> str:
 def _list(expected: set[str]) -> str:
     """Return the accepted tokens as text: first phrases for the constructs that they begin, then marks.
 
-    At most four.
+    The text has at most four of them.
     """
     expected = expected - _UNSAID
     groups = []

@@ -56,7 +56,7 @@ _FLEET_NAMES = {PID, N_SYS}
 def unsat(formulas: Iterable[Formula]) -> bool:
     """Return whether no robot of any fleet can satisfy all formulas.
 
-    False may also mean that a limit was reached.
+    The result False may also mean that a limit was reached.
     """
     return _unsat(tuple(formulas))
 
@@ -157,7 +157,7 @@ _ANY = (None, None)
 def _limits(rows: list[Linear]) -> _Limits | None:
     """Return the bounds of each variable from the rows with no other variable.
 
-    None if some variable has no value.
+    Returns None if some variable has no value.
     """
     limits: _Limits = {}
     for row in rows:

@@ -42,7 +42,7 @@ class CertainIterations(NamedTuple):
 def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> CertainIterations | None:
     """Return the last and the first iteration if every iteration evaluates the expression at `span`.
 
-    None if one may skip it, or if `terms` may depend on variables that earlier iterations changed.
+    Returns None if one may skip it, or if `terms` may depend on variables that earlier iterations changed.
     """
     ends = _ends(loop)
     if (
@@ -59,7 +59,7 @@ def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Cer
 def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
     """Return the variable's first value, its last one or None, and the condition that there is one.
 
-    None if unknown.
+    Returns None if unknown.
     """
     match loop.values:
         case ir.Ids():
@@ -108,7 +108,7 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
 def _in_expression(root: ir.Expr, span: Span) -> bool:
     """Return whether an expression always evaluates its part at `span`.
 
-    False if an `and`, `or`, `if` or quantifier may skip it.
+    Returns False if an `and`, `or`, `if` or quantifier may skip it.
     """
     pending: list[Node] = [root]
     while pending:

@@ -82,7 +82,7 @@ def _element_refuted(
 def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
     """Return whether the end of a slice, or the position of an insertion, is proved to be >= 0.
 
-    Report it otherwise.
+    If it is not, this is reported.
     """
     if a.flow is None or a.poisoned:
         return False

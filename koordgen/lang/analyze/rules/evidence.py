@@ -26,7 +26,7 @@ def help_at_run_time(a: Analysis) -> str:
 def unproved_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
     """Return the unproved bound of an index, as Koord writes it, if the other bound is proved.
 
-    Empty otherwise.
+    Returns an empty string otherwise.
     """
     if value is None or size is None:
         return ""

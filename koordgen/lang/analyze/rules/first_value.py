@@ -44,7 +44,7 @@ def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> 
 def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     """Return why an initial value of this type is wrong.
 
-    None if it is right or has an error that is already reported.
+    Returns None if it is right or has an error that is already reported.
 
     `params` has the values of params.
     """

@@ -297,7 +297,7 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
 def _element_type(type_: Type) -> Type | None:
     """Return the type of the elements of a value: `T` if `x in value` takes an x of type T.
 
-    None if it has none.
+    Returns None if it has none.
     """
     match type_:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):

@@ -45,7 +45,7 @@ def modern_logic(node: ast.Logic, c: Context) -> str:
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
     """Return the modern form of a call of a function in `FUNCTIONS`.
 
-    None if its arguments are not the dialect's.
+    Returns None if its arguments are not the dialect's.
     """
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None

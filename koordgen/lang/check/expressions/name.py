@@ -237,7 +237,7 @@ def is_event(name: str, c: Context) -> bool:
 def report_ended(name: str, span: Span, c: Context) -> bool:
     """Report a use of a variable after the block or loop that declares it.
 
-    False if the name is no such variable.
+    Returns False if the name is no such variable.
     """
     if name not in c.minted or c.program is None:
         return False
