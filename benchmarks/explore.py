@@ -26,10 +26,10 @@ from benchmarks.fixtures import spin
 from koordgen.build.pipeline import check_file, read_source
 from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import Environment, Surroundings, answering
+from koordgen.verify.explore.environment import Environment, EnvironmentSteps, possible_answers
+from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import Bounds, Search
+from koordgen.verify.explore.search import ExplorationBounds, Search
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ELECTION = EXAMPLES / "election/election.koord"
@@ -59,9 +59,14 @@ def ours(path: Path, robots: int, how: str, repeats: int, **switches: bool) -> R
         began = time.process_time()
         program, around = _surrounded(path, robots)
         functions = path.with_name(f"{path.stem}_functions.py")
-        machine = Machine(program, robots, answering(around, program, robots), functions)
+        machine = Machine(program, robots, possible_answers(around, program, robots), functions)
         search = Search(
-            machine, Surroundings(machine, around), Bounds(seconds=BOUND), time.process_time, lambda _: None, **switches
+            machine,
+            EnvironmentSteps(machine, around),
+            ExplorationBounds(seconds=BOUND),
+            time.process_time,
+            lambda _: None,
+            **switches,
         )
         before = time.process_time()
         result = search.run()

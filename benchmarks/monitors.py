@@ -34,7 +34,7 @@ from koordgen.runtime.monitor.monitor import Monitors
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import unlimited
-from koordgen.runtime.trace.watched import SHARED, Change, Moment
+from koordgen.runtime.trace.monitored import SHARED, Change, Observation
 from koordgen.runtime.values.containers import last
 from koordgen.runtime.values.points import Point, Scan, distance
 from koordgen.runtime.vehicle.platform import Finding, Sensed
@@ -200,7 +200,7 @@ def one_invariant(samples: int) -> dict[str, float | str]:
     places = [Point(k % 700 / 100, 0.5, 0.1) for k in range(samples)]
     began = time.process_time()
     for k, place in enumerate(places):
-        monitors.look(Moment(k + 1, 0.1 * k, SHARED, 0.1 * k, {"Motion.position": place}, {}, {}, {}))
+        monitors.look(Observation(k + 1, 0.1 * k, SHARED, 0.1 * k, {"Motion.position": place}, {}, {}, {}))
     took: dict[str, float | str] = {"ours_us": (time.process_time() - began) / samples * 1e6}
     violated = sum(change.outcome == "violated" for change in changes)
     try:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.peers_exchange import warm_up
+from koordgen.runtime.agent.checkpoint import CheckpointFile
 from koordgen.runtime.agent.machine import Agent
 from koordgen.runtime.agent.rounds import PUBLISH
-from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.transport import Transport
@@ -163,7 +163,7 @@ def run_agent(
 
     tapped = Tapped(open_transport(given))
     trace, program_ = Trace(None, print), program(size)
-    store = Store.open(folder / f"{pid}.state", program_, given.robot, pid, len(given.peers), print)
+    store = CheckpointFile.open(folder / f"{pid}.state", program_, given.robot, pid, len(given.peers), print)
     agent = Agent(program_, given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), store, [note])
     inside, warm = Inside(agent), warm_up(delta)
     last = warm + count

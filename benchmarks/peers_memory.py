@@ -14,12 +14,12 @@ from collections.abc import Callable, Collection
 
 from benchmarks.peers_agents import KEY, program, settings
 from benchmarks.peers_exchange import Heard, Place
-from koordgen.runtime.agent.keeping import Keeping, first_hard_state
-from koordgen.runtime.agent.outbox import AHEAD
+from koordgen.runtime.agent.checkpoint import CheckpointFile, CheckpointStore
+from koordgen.runtime.agent.output_commit import AHEAD
+from koordgen.runtime.agent.persistence import Persistence, first_hard_state
 from koordgen.runtime.agent.rounds import GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
-from koordgen.runtime.agent.store import Keeper, Store
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
@@ -42,7 +42,7 @@ def open_memory(place: Place, network: str = "multicast", native: bool = True) -
         without_courier()
     given = settings(place.pid, place.ports, place.delta, network)
     path = place.folder / f"{place.pid}.state"
-    store = Store.open(path, program(place.size), given.robot, place.pid, len(given.peers), print)
+    store = CheckpointFile.open(path, program(place.size), given.robot, place.pid, len(given.peers), print)
     return SharedMemory(given, place.size, open_transport(given), store, SystemClock())
 
 
@@ -56,7 +56,7 @@ def open_update(place: Place, native: bool = True) -> Update:
 
 def without_courier() -> None:
     """Do everything in Python in this process, as where there is no compiler."""
-    courier.COMPILED.found = "not wanted"
+    socket_batch.COMPILED.found = "not wanted"
 
 
 def open_driver(
@@ -130,11 +130,11 @@ class SharedMemory:
     for a commit.
     """
 
-    def __init__(self, given: Settings, size: int, transport: Transport, store: Keeper, clock: Clock) -> None:
+    def __init__(self, given: Settings, size: int, transport: Transport, store: CheckpointStore, clock: Clock) -> None:
         pid, n = given.pid, len(given.peers)
         self._pid, self._delta, self._rest = pid, given.delta, "x" * (size - 8)
         self._transport, self._now = transport, clock.now
-        keeping = Keeping(store, program(size), n)
+        keeping = Persistence(store, program(size), n)
         self._driver, self._link = open_driver(given, size, transport, clock, keeping.hard_state)
         keeping.mission(self._link.epoch, Life(0, {"count": 0}, {}, False))
         self._replica = self._driver.replica

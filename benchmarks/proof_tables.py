@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
-from koordgen.verify.prove.obligations.generate import rooms
-from koordgen.verify.prove.obligations.moment import Setting
+from koordgen.verify.prove.obligations.generate import obligation_groups
+from koordgen.verify.prove.obligations.part_encoder import ProofProblem
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.solve import Limits, Solver
@@ -114,12 +114,12 @@ def program_of(text: str, folder: Path) -> Program:
 def measured(table: str, case: str, program: Program, robots: int | None, published: tuple[float, float] | None,
              second: bool) -> Row:  # fmt: skip
     began = time.process_time()
-    made = list(rooms(program, robots, told="little"))
+    made = list(obligation_groups(program, robots, detail="little"))
     make = time.process_time() - began
     found = {name: _solving(name, made) for name in (("z3", "cvc5") if second else ("z3",))}
     verdict = "PROVED" if found["z3"][1] else "not proved"
     note = "" if len({proved for _, proved in found.values()}) == 1 else "z3 and cvc5 differ"
-    unrolled = Setting(program, robots, None, "little").unrolled
+    unrolled = ProofProblem(program, robots, None, "little").unrolled
     how = "any" if robots is None else "written out" if unrolled else "instances"
     times = {name: seconds for name, (seconds, _) in found.items()}
     return Row(table, case, _robots(robots), how, published, verdict, make, times["z3"], times.get("cvc5"), note)

@@ -2,12 +2,12 @@
 
 Variants, in turns, in one run:
 
-    courier      the product as it is: waiting, receiving and sending by courier.c
-    no courier   the same by Python's socket module, as where there is no C compiler
+    socket_batch      the product as it is: waiting, receiving and sending by socket_batch.c
+    no socket_batch   the same by Python's socket module, as where there is no C compiler
 
 Three figures for each: time to consistency (median over robots and rounds), CPU of a robot's round (median over
 robots), and the round trip of an update between two robots. One robot a process, full stack of the shared memory
-without agents around it (see peers_memory). Ratios are to `courier`; more than 1 is slower. What other parts in C
+without agents around it (see peers_memory). Ratios are to `socket_batch`; more than 1 is slower. What other parts in C
 bought when there were more is in docs/adr/0048-what-each-part-in-c-buys.md.
 """
 
@@ -27,8 +27,8 @@ from benchmarks.peers_memory import open_memory, open_update
 from benchmarks.shared_memory import Failed, round_trip, rounds
 
 FLEETS = ((5, 0.1), (5, 0.01), (16, 0.01), (32, 0.05))  # robots, delta (s)
-BASE = "courier"
-VARIANTS = {BASE: True, "no courier": False}  # whether the sockets are read by C
+BASE = "socket_batch"
+VARIANTS = {BASE: True, "no socket_batch": False}  # whether the sockets are read by C
 
 
 def figures(variant: str, n: int, delta: float, count: int) -> dict[str, float]:

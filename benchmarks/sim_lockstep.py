@@ -21,7 +21,7 @@ from koordgen.cli import main
 from targets.sim.base import scenario
 from targets.sim.base.bodies import BodyState
 from targets.sim.lockstep.run import Lockstep
-from targets.sim.run.stage import Stage
+from targets.sim.run.scene import SimulationScene
 
 PROGRAM = Path(__file__).parents[1] / "examples" / "lineform" / "lineform.koord"
 
@@ -34,7 +34,7 @@ class Mission:
     simulated: float
     host: float
     cpu: float
-    stage: float
+    scene: float
     shares: dict[str, float]
 
     @property
@@ -45,7 +45,7 @@ class Mission:
     @property
     def harness(self) -> float:
         """What a run in real time would need of a core for the world and its devices."""
-        return self.stage / self.simulated
+        return self.scene / self.simulated
 
 
 def fleet(count: int, target: str) -> dict[str, Any]:
@@ -81,41 +81,41 @@ def mission(count: int, target: str, fidelity: str, seconds: float) -> Mission:
         laid_over = folder / "settings.json"
         laid_over.write_bytes(msgspec.json.encode({"fidelity": fidelity}))
         conduct = Lockstep(scenario.load(root, laid_over), root, folder / "run", 0)
-        stage = conduct.stage()
+        scene = conduct.scene()
         try:
-            conduct.launch(stage)
+            conduct.launch(scene)
             while not all(agent.round for agent in conduct.agents):
-                _go_on(conduct, stage, 0.5)
+                _go_on(conduct, scene, 0.5)
                 for agent in conduct.agents:
                     agent.look()
                 assert conduct.now() < 60.0, [agent.waiting_for() for agent in conduct.agents]
-            timer = _Timer(stage)
+            timer = _Timer(scene)
             host, cpu = time.perf_counter(), time.process_time()
             _go_on(conduct, timer, seconds)
             spent = time.perf_counter() - host, time.process_time() - cpu
             return Mission(seconds, *spent, timer.spent, conduct.shares)
         finally:
             conduct.close()
-            stage.close()
+            scene.close()
 
 
 class _Timer:
-    """Steps a stage and counts its CPU time."""
+    """Steps a scene and counts its CPU time."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
+    def __init__(self, scene: SimulationScene) -> None:
+        self._scene = scene
         self.spent = 0.0
 
     def step(self, at: float) -> list[BodyState]:
         began = time.process_time()
-        states = self._stage.step(at)
+        states = self._scene.step(at)
         self.spent += time.process_time() - began
         return states
 
 
-def _go_on(conduct: Lockstep, stage: Stage | _Timer, seconds: float) -> None:
+def _go_on(conduct: Lockstep, scene: SimulationScene | _Timer, seconds: float) -> None:
     def step(at: float) -> None:
-        stage.step(at)
+        scene.step(at)
 
     end = conduct.now() + seconds
     while conduct.now() < end - 1e-9:

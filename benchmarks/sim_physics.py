@@ -27,10 +27,10 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.scenario import PYBULLET
 from targets.sim.physics.bullet import Bullet
 from targets.sim.physics.car import SimulatedCar
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import STEP, World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import STEP, SimulatedWorld
 
 Step = Callable[[], object]
 
@@ -71,9 +71,9 @@ def grid(count: int, height: float) -> list[tuple[float, float, float]]:
     return [(2.0 * (k % side), 2.0 * (k // side), height) for k in range(count)]
 
 
-def quads(count: int) -> tuple[World, Step]:
+def quads(count: int) -> tuple[SimulatedWorld, Step]:
     """Full ones that fly to and fro; each is commanded, and asked for its state, in every step."""
-    world = World()
+    world = SimulatedWorld()
     flown = [SimulatedQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
         quad.motors(True)
@@ -89,9 +89,9 @@ def quads(count: int) -> tuple[World, Step]:
     return world, step
 
 
-def simple_quads(count: int) -> tuple[World, Step]:
+def simple_quads(count: int) -> tuple[SimulatedWorld, Step]:
     """As `quads`."""
-    world = World()
+    world = SimulatedWorld()
     flown = [SimpleQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
         quad.motors(True)
@@ -107,9 +107,9 @@ def simple_quads(count: int) -> tuple[World, Step]:
     return world, step
 
 
-def cars(count: int, make: type[SimulatedCar] | type[SimpleCar]) -> tuple[World, Step]:
+def cars(count: int, make: type[SimulatedCar] | type[SimpleCarBody]) -> tuple[SimulatedWorld, Step]:
     """Cars in circles; each is commanded, and asked for its state, in every step."""
-    world = World()
+    world = SimulatedWorld()
     driven = [make(world, place, 0.1, 0.33, 0.4) for place in grid(count, 0.0)]
 
     def step() -> None:
@@ -200,7 +200,7 @@ class Lidars:
 
 def lidars(count: int, turns: int) -> Lidars:
     """Measured."""
-    world = World(engine=PYBULLET)
+    world = SimulatedWorld(engine=PYBULLET)
     for obstacle in ROOM:
         world.obstacle(obstacle)
     driven: list[SimulatedCar] = []
@@ -216,15 +216,17 @@ def lidars(count: int, turns: int) -> Lidars:
     eyes = []
     for car in driven:
         motion = car.motion()
-        eyes.append(Eye((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
+        eyes.append(LidarMount((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
         world.engine.take(car.rigid.number, motion.position, motion.orientation)  # its rays see those that it has
 
     def theirs() -> list[list[float]]:
         return [_cast(world, bullet, own, eye) for eye in eyes]
 
-    ours, single, other = timed([lambda: world.look(eyes), lambda: world.look(eyes[:1]), theirs], turns, 2)
+    ours, single, other = timed([lambda: world.cast_rays(eyes), lambda: world.cast_rays(eyes[:1]), theirs], turns, 2)
     pair = Pair(f"lidars, {RAYS} rays", ours / count, "rayTestBatch", other / count, 30.0)
-    worst = [_apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.look(eyes), theirs(), strict=True)]
+    worst = [
+        _apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.cast_rays(eyes), theirs(), strict=True)
+    ]
     world.close()
     geometry, faces, rounded = zip(*worst, strict=True)
     return Lidars(pair, single, max(geometry), _near(faces), _near(rounded))
@@ -236,7 +238,7 @@ def _near(apart: Sequence[list[float]]) -> float:
     return sum(a < MILLIMETRE for a in each) / len(each)
 
 
-def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[float]:
+def _cast(world: SimulatedWorld, bullet: Any, own: dict[str, int], eye: LidarMount) -> list[float]:
     """PyBullet's rays, with the robot itself hidden from them."""
     x, y, z = eye.place
     assert isinstance(world.engine, Bullet)
@@ -248,7 +250,7 @@ def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[floa
     return [share * eye.range if hit >= 0 else math.inf for hit, _, share, *_ in found]
 
 
-def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
+def _apart(eye: LidarMount, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
     """How far ours are from plane geometry at most, and theirs from ours at faces and at round things; see Lidars. Rays
     that meet a car are not compared."""
     geometry = 0.0
@@ -278,7 +280,7 @@ def _slope(ranges: list[float], i: int) -> float:
 def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list[str]]:
     """Ours beside theirs at so many robots, and what was left out."""
     pairs, left = [], []
-    world, simple = cars(count, SimpleCar)
+    world, simple = cars(count, SimpleCarBody)
     end, step = racecars(count)
     ours, theirs = timed([simple, step], turns, 20)
     pairs.append(Pair("cars, simple", ours, "racecar URDF", theirs, 25.0))
@@ -304,11 +306,11 @@ def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list
 
 def factors(counts: tuple[int, ...], turns: int) -> dict[str, dict[int, float]]:
     """How many times faster than real time the physics alone is, by kind and number of robots."""
-    kinds: dict[str, Callable[[int], tuple[World, Step]]] = {
+    kinds: dict[str, Callable[[int], tuple[SimulatedWorld, Step]]] = {
         "quads, full": quads,
         "quads, simple": simple_quads,
         "cars, full": lambda count: cars(count, SimulatedCar),
-        "cars, simple": lambda count: cars(count, SimpleCar),
+        "cars, simple": lambda count: cars(count, SimpleCarBody),
     }
     found: dict[str, dict[int, float]] = {}
     for name, make in kinds.items():

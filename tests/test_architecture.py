@@ -189,7 +189,7 @@ def test_the_compiler_needs_no_robot_package(path: Path) -> None:
     if path.relative_to(PACKAGE).as_posix() == "verify/audit/plot.py":  # within the function that draws
         allowed = {"matplotlib"}
     if path.parent.name == "campaign":  # within the functions that draw, and that connect to a cluster
-        allowed = {"plots.py": {"matplotlib"}, "crew.py": {"distributed"}}.get(path.name, set())
+        allowed = {"plots.py": {"matplotlib"}, "executor.py": {"distributed"}}.get(path.name, set())
     if path.parent.name == "validate":  # it needs the simulator's packages anyway
         allowed = {"numpy", "matplotlib"}
     assert {m.split(".")[0] for m in imports(path)} & HEAVY <= allowed

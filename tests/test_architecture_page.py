@@ -97,7 +97,7 @@ def test_the_table_has_a_function_in_each_row() -> None:
         ("NaN from an extern function", "koordgen/runtime/values/points.py:no_nan"),
         ("`--status`", "koordgen/runtime/ops/control.py:Control._part"),
         ("sent again", "koordgen/runtime/replication/replica.py:Replica._lacked_entries"),
-        ("guard becomes SMT", "koordgen/verify/prove/obligations/generate.py:guarded"),
+        ("guard becomes SMT", "koordgen/verify/prove/obligations/generate.py:assume_guard"),
     ],
 )
 def test_a_question_takes_three_steps_from_the_readme(words: str, place: str) -> None:

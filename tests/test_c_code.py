@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from targets.car.control.solver import compiled
 
 ROOT = Path(__file__).parents[1]
-FLAGS = {courier.SOURCE: courier.FLAGS, compiled.SOURCE: compiled.FLAGS}
+FLAGS = {socket_batch.SOURCE: socket_batch.FLAGS, compiled.SOURCE: compiled.FLAGS}
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
 
 

@@ -55,7 +55,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/_data/targets/sim/harness.py",
         "koordgen/_data/targets/__init__.py",
         "koordgen/runtime/agent/process.py",
-        "koordgen/runtime/net/courier.c",
+        "koordgen/runtime/net/socket_batch.c",
         "koordgen/lang/syntax/_generated/grammar.py",
         "koordgen/lang/explain/K.md",
         "koordgen/lang/explain/F.md",

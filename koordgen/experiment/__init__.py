@@ -1,4 +1,4 @@
-"""Experiments: many runs, and what they say.
+"""Experiments: many simulated runs of a program, and statistics about them.
 
 Owns: campaigns, and the validation of a program's assumptions by sampled runs.
 Offers: one room for each.

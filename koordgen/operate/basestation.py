@@ -56,7 +56,7 @@ class Receiver(Node):
 
 
 def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ...]:
-    """The robots that take a feed. Raises WrongFiles."""
+    """Return the robots that take a feed. Raises WrongFiles."""
     found = []
     for robot in fleet.robots:
         feed = targets[robot.target].feed
@@ -119,7 +119,7 @@ class Forwarder:
         return encode(sample, self._key)
 
     def told(self, now: float, seconds: float) -> str:
-        """What was passed on in the last `seconds`, in a line."""
+        """Return a one-line summary of what was forwarded in the last `seconds`."""
         words = []
         for name, sent in self._sent.items():
             if now - self._seen[name] >= LOST:
@@ -174,7 +174,7 @@ def _bodies(found: Mapping[str, Any]) -> dict[str, Body]:
 
 
 def connected(name: str, host: str) -> Any:
-    """A connection to a motion capture system. Raises CannotServe."""
+    """Return a connection to a motion capture system. Raises CannotServe."""
     try:
         import motioncapture
 
@@ -258,7 +258,7 @@ def _resolved(receiver: Receiver) -> tuple[Any, ...]:
 
 
 def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
-    """The fleet's key: the file named, or beside the fleet file, or here; None for a fleet without. Raises
+    """Return the fleet's key: the file named, or beside the fleet file, or here; None for a fleet without. Raises
     WrongFiles."""
     if not fleet.key and key_path is None:
         return None
@@ -270,5 +270,5 @@ def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
 
 
 def all_targets() -> dict[str, Target]:
-    """All targets by name."""
+    """Return all targets by name."""
     return {name: load(name) for name in available()}

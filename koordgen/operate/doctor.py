@@ -26,7 +26,7 @@ class NoBundle(CannotExamine):
 
 
 def robots_bundle(path: str) -> Path:
-    """The folder of one robot's bundle. Raises NoBundle."""
+    """Return the folder of one robot's bundle. Raises NoBundle."""
     folder = Path(path)
     build = "`koordgen build APP.koord --target ... --fleet FILE` writes a folder for each robot"
     if not folder.is_dir():

@@ -228,7 +228,7 @@ class Stopping:
         return encode(Stop(self._nonce, self._offer.challenge), self._key)
 
     def take(self, datagram: bytes, now: float) -> bool:
-        """Whether it brings us further, so that the next `datagram` should go out at once."""
+        """Return whether the answer makes progress, so that the next `datagram` should be sent at once."""
         match decode(datagram, self._key):
             case Offer(nonce) as offer if nonce == self._nonce:
                 further = self._offer is None or now - self._offered > STALE_OFFER
@@ -266,7 +266,7 @@ def stop_fleet(
 
 
 def show(results: list[Called], form: str) -> str:
-    """What became of each robot, for people or as one JSON document."""
+    """Return what became of each robot, for people or as one JSON document."""
     if form == "json":
         robots = [
             {
@@ -339,7 +339,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
 
 
 def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
-    """Until something brings us further or it is time to call again."""
+    """Receive answers until one makes progress or the next call is due."""
     while (left := until - time.monotonic()) > 0:
         caller.settimeout(left)
         if stopping.take(caller.recv(SHORT + 1), time.monotonic()):

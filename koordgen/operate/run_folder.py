@@ -19,16 +19,16 @@ from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
-from koordgen.verify.audit.reading import found, opened
-from koordgen.verify.audit.story import Mission, mission
+from koordgen.verify.audit.history import FleetMission, mission
+from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
 
 
-def flown(folder: Path) -> Mission:
+def flown(folder: Path) -> FleetMission:
     """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
     Raises BadTrace."""
-    return mission([opened(path) for path in found(folder / ROBOTS)])
+    return mission([read_trace_file(path) for path in trace_files(folder / ROBOTS)])
 
 
 def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:
@@ -52,13 +52,13 @@ def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: 
 
 def _fitting(source: Path, wanted: str) -> Program | None:
     """Return the program in a folder `source/` if it has the hash `wanted`."""
-    found = sorted(source.glob("*.koord"))
-    if len(found) != 1:
+    programs = sorted(source.glob("*.koord"))
+    if len(programs) != 1:
         return None
     try:
         params = source / PARAMS
         given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
-        program = with_params(check_file(str(found[0])).program, given)
+        program = with_params(check_file(str(programs[0])).program, given)
     except (Rejected, BadParam, ValueError):  # of another version of the language
         return None
     functions = functions_file(program, source, None)
@@ -66,13 +66,13 @@ def _fitting(source: Path, wanted: str) -> Program | None:
     return program if its == wanted else None
 
 
-def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:
+def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Fleet) -> None:
     """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
     is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
     from targets.sim.trace.collected import merge
 
     names = [robot.name for robot in fleet.robots]
-    flew = [story.name if story.lives else name for story, name in zip(whole.stories, names, strict=False)]
+    flew = [history.name if history.lives else name for history, name in zip(whole.histories, names, strict=False)]
     if flew != names:
         raise BadTrace(f"the traces are of the robots {', '.join(flew)}, and the fleet file lists {', '.join(names)}")
     end = whole.last * whole.delta
@@ -82,12 +82,12 @@ def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) ->
     made.replace(folder / TRACE)
 
 
-def _files(whole: Mission, pid: int) -> Sequence[Path]:
+def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     """Return one robot's files of the mission that record a round, in the order of their rounds."""
-    return list(dict.fromkeys(life.log.path for life in whole.stories[pid].lives if life.tells))
+    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.tells))
 
 
-def _header(whole: Mission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
+def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
     return {
         "kind": "header",
         "format": FORMAT,

@@ -180,7 +180,7 @@ def _row(asked: Asked) -> tuple[str, ...]:
 
 
 def _silent_row(asked: Asked) -> tuple[str, ...]:
-    """The row of a robot whose agent gave no answer: what its host says, if it was asked."""
+    """Return the row of a robot whose agent gave no answer: what its host says, if it was asked."""
     note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
     if (host := asked.host) is None:
         return (asked.place.name, *("-",) * (len(_COLUMNS) - 2), note)

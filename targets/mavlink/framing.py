@@ -27,16 +27,16 @@ class Framer:
         self.rejected: dict[str, int] = {}
 
     def datagram(self, data: bytes) -> list[Message]:
-        """The messages of a datagram, which by convention holds whole frames."""
+        """Return the messages of a datagram, which by convention holds whole frames."""
         return self._scan(data, whole=True)[0]
 
     def stream(self, data: bytes) -> list[Message]:
-        """The messages that a stream's next bytes complete."""
+        """Return the messages that a stream's next bytes complete."""
         messages, self._rest = self._scan(self._rest + data, whole=False)
         return messages
 
     def _scan(self, data: bytes, whole: bool) -> tuple[list[Message], bytes]:
-        """The messages, and what may be the beginning of one that is still on its way (never when `whole`)."""
+        """Return the messages, and what may be the beginning of one that is still on its way (never when `whole`)."""
         messages = []
         at, end, skipped = 0, len(data), 0
         while at < end:

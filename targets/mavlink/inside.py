@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.vehicle.inside import Exchange
+from koordgen.runtime.vehicle.simulator_services import Exchange
 from targets.mavlink.transport import Address, Chunk, Way
 
 

@@ -78,7 +78,7 @@ class Link:
         return self.rejected.get("bytes", 0)
 
     def alive(self, now: float) -> bool:
-        """Whether the vehicle's heartbeat is fresh."""
+        """Return whether the vehicle's heartbeat is fresh."""
         return self.heard is not None and now - self.heard <= LOST
 
     def crowded(self, now: float) -> bool:
@@ -92,7 +92,7 @@ class Link:
         return now - self.rival <= GONE
 
     def receive(self, now: float) -> list[Message]:
-        """The vehicle's messages that have arrived, in order."""
+        """Return the vehicle's messages that have arrived, in order."""
         messages = []
         decode = self._framer.datagram if self._transport.datagrams else self._framer.stream
         for data, source in self._transport.receive(now):
@@ -188,7 +188,7 @@ class Link:
         return asked
 
     def asked(self, command: int) -> Asked | None:
-        """The command, if it is under way."""
+        """Return the pending command, if any."""
         return self._asked.get(command)
 
     def forget(self, command: int) -> None:

@@ -130,7 +130,7 @@ class Parameters:
                 )
 
     def done(self, now: float) -> bool:
-        """Whether each that matters in this version has answered, or was asked for often enough."""
+        """Return whether each required parameter has answered or was requested often enough."""
         if self._version is None and self._asked_version < TURNS and any(w.versions for w in self._asked):
             return False
         return all(
@@ -211,7 +211,7 @@ class Review:
         return "; ".join(str(r) for r in self._differences if r.wanted.vital)
 
     def news(self) -> str:
-        """What differs and was not told yet, in words; it counts as told then."""
+        """Return differences that were not reported yet, and mark them as reported."""
         differences = tuple(map(str, self._differences))
         if self._vital and self._piloted:
             differences = (*differences, PILOT)

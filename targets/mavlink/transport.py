@@ -41,7 +41,7 @@ class Transport(Protocol):
     datagrams: bool  # whether what arrives comes as datagrams of whole frames, or as a stream
 
     def receive(self, now: float) -> list[Chunk]:
-        """What has arrived, with the sender's address where there is one. At most about BUDGET bytes."""
+        """Return received datagrams with the sender's address, if any; at most about BUDGET bytes."""
         ...
 
     def answer(self, source: Address | None) -> None:

@@ -32,7 +32,7 @@ class Judge(Protocol):
 
 
 def judging(judge: str, name: str, world: World) -> Judge:
-    """The judge `module:Class` with the planner of that name. Raises BadPlanner."""
+    """Return the judge `module:Class` with the planner of that name. Raises BadPlanner."""
     module, _, member = judge.partition(":")
     try:
         made: Judge = getattr(import_module(module), member)(name, world)
@@ -42,7 +42,7 @@ def judging(judge: str, name: str, world: World) -> Judge:
 
 
 def make(name: str, world: World) -> Planner:
-    """The planner of that name. Raises BadPlanner."""
+    """Return the planner of that name. Raises BadPlanner."""
     if name in NAMES:
         if name == "rrt-star" and own_trees.is_needed():
             raise BadPlanner(own_trees.NEEDS_OMPL)
@@ -69,12 +69,12 @@ class Asked:
         self._planner = make(name, world)
 
     def serve(self, question: Question) -> Answer:
-        """What the planner's process does."""
+        """Return what the planner's process does."""
         path, reason = self.answer(question.start, question.goal, question.scene, question.seconds)
         return Answer(question.number, path, reason)
 
     def answer(self, start: Point, goal: Point, scene: Scene, seconds: float) -> tuple[Path, str]:
-        """A path, or () and, unless there simply is no way, the reason for people."""
+        """Return a path, or () and, unless there simply is no way, the reason for people."""
         world = self._world
         if not world.flies:
             start, goal = Point(start.x, start.y, 0.0), goal
@@ -115,7 +115,7 @@ def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:
 
 
 def misled(world: World, here: Room, start: Point, goal: Point, path: Any) -> str:
-    """What is wrong with an answer, in words; "" when it may be followed."""
+    """Return what is wrong with an answer, in words; "" when it may be followed."""
     if not isinstance(path, (tuple, list)) or not all(isinstance(p, Point) and finite(p) for p in path):
         return "it is no tuple of finite Points"
     if not 2 <= len(path) <= MOST_POINTS:

@@ -22,7 +22,7 @@ Solid = Block | Sphere | Cylinder
 
 
 def solid_distance(body: Solid, a: Point, b: Point) -> float:
-    """The least distance of the segment ab from a body, in metres; 0 when they have a point in common."""
+    """Return the least distance of the segment ab from a body, in metres; 0 when they have a point in common."""
     match body:
         case Block(lo, hi):
             return _block(lo, hi, a, b)
@@ -54,7 +54,7 @@ def _block(lo: Point, hi: Point, a: Point, b: Point) -> float:
 
 
 def _from_block(axes: tuple[tuple[float, float, float, float], ...], t: float) -> float:
-    """The squared distance of the place at t."""
+    """Return the squared distance of the place at t."""
     total = 0.0
     for low, high, p, d in axes:
         x = p + t * d
@@ -76,7 +76,7 @@ def _cylinder(body: Cylinder, a: Point, b: Point) -> float:
         return math.hypot(max(0.0, outside), max(0.0, -up, up - height))
 
     def rising(t: float) -> bool:
-        """Whether the distance grows there, where the place is both beside and above (or below)."""
+        """Return whether the distance grows there, where the place is both beside and above (or below)."""
         px, py, up = x + t * dx, y + t * dy, z + t * dz
         axis = math.hypot(px, py)
         return (axis - radius) / axis * (px * dx + py * dy) + (up if up < 0 else up - height) * dz > 0

@@ -31,7 +31,7 @@ class Limit:
         return self._iterations is None and time.perf_counter() > self._end
 
     def spent(self, turn: int) -> bool:
-        """Whether no further search is to begin, after `turn` of them: one more would not end in time."""
+        """Return whether no further search is to begin, after `turn` of them: one more would not end in time."""
         if self._iterations is not None:
             self._done = 0
             return turn >= STARTS

@@ -71,7 +71,7 @@ class Triangle:
         return min(best, segment_distance(p, q, a, b), segment_distance(q, r, a, b), segment_distance(r, p, a, b))
 
     def _over(self, place: Point) -> bool:
-        """Whether a place is square above or below the inside."""
+        """Return whether a place is square above or below the inside."""
         assert self._normal is not None
         corners = self._corners
         for p, q in zip(corners, (*corners[1:], corners[0]), strict=True):
@@ -113,7 +113,7 @@ def _least(corners: Array, start: Array, d: Array) -> float:
 
 
 def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArray[np.bool_]:
-    """Whether each place, which lies in the plane of its triangle, lies in the triangle."""
+    """Return whether each place, which lies in the plane of its triangle, lies in the triangle."""
     offset = places[:, None, :] - corners
     turned = np.einsum("nij,nj->ni", np.cross(sides, offset), normal)
     found: NDArray[np.bool_] = (turned >= 0).all(axis=1)
@@ -121,7 +121,7 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 
 
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
-    """The squared distances of one segment, start + s d, from many, first + t e: see
+    """Return the squared distances of one segment, start + s d, from many, first + t e: see
     `koordgen.runtime.values.geometry`."""
     w = first - start
     n = np.cross(d, e)
@@ -142,7 +142,7 @@ def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
 
 
 def _beyond(x: Array, d: Array) -> Array:
-    """The squared distances of places x from the segment from the origin to d."""
+    """Return the squared distances of places x from the segment from the origin to d."""
     gap = x - _foot(x, d)[:, None] * d
     return _dot(gap, gap)
 

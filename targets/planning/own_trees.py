@@ -67,7 +67,7 @@ class OwnTrees:
 
 
 def _back(tree: list[tuple[Point, int]], at: int) -> list[Point]:
-    """The places from one of a tree to its root."""
+    """Return the places from one of a tree to its root."""
     found = []
     while at >= 0:
         place, at = tree[at]

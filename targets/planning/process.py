@@ -17,8 +17,8 @@ from typing import Protocol
 import msgspec
 
 from koordgen.runtime.values.points import Point, transmissible
-from koordgen.runtime.vehicle.inside import Inside as Surroundings
 from koordgen.runtime.vehicle.platform import Unready
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices as Surroundings
 from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World
@@ -37,7 +37,7 @@ class Planning(Protocol):
 
     @property
     def waiting(self) -> bool:
-        """Whether something was asked that has not been answered yet."""
+        """Return whether a request is pending."""
         ...
 
     def start(self) -> None: ...
@@ -47,7 +47,7 @@ class Planning(Protocol):
         ...
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
-        """The path, or (): there is none, or the planner is late or gone; then `news` says so."""
+        """Return the path, or () if there is none or the planner is late or gone (see `news`)."""
         ...
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
@@ -55,11 +55,11 @@ class Planning(Protocol):
         ...
 
     def answer(self) -> Answer | None:
-        """What came last, to `ask` or, with all that was told besides, to `plan`; the same is told once."""
+        """Return what came last, to `ask` or, with all that was told besides, to `plan`; the same is told once."""
         ...
 
     def news(self) -> list[str]:
-        """What went wrong since this was asked last, for the log."""
+        """Return problems since the last call, for the log."""
         ...
 
     def close(self) -> None: ...
@@ -145,7 +145,7 @@ class Inside:
 
 
 def bounded(inside: Surroundings, name: str, world: World, budget: float, judge: str = JUDGE) -> Inside:
-    """A planner whose answers depend on nothing but its questions."""
+    """Return a planner whose answers depend on nothing but its questions."""
     world = msgspec.structs.replace(world, seed=inside.seed, iterations=inside.iterations)
     return Inside(name, world, budget, judge)
 

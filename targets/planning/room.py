@@ -87,7 +87,7 @@ class Room:
         self._boxes = None
 
     def clear(self, a: Point, b: Point) -> bool:
-        """Whether every place of the straight line from a to b keeps its distance from all of them."""
+        """Return whether the whole segment from a to b keeps its distance from all obstacles."""
         return all(thing.distance(a, b, kept) >= kept for kept, thing in self._near(a, b))
 
     def nearest(self, a: Point, b: Point) -> tuple[float, str]:

@@ -13,7 +13,7 @@ AS_NEAR = 0.05  # metres by which a later leg must be nearer to a robot than an 
 
 
 def commanded(actuators: Mapping[str, Any], modules: Iterable[str]) -> list[tuple[Point, ...]]:
-    """The paths among written actuators of these modules; a target is a path of one point."""
+    """Return the paths among written actuators of these modules; a target is a path of one point."""
     found: list[tuple[Point, ...]] = []
     for module in modules:
         if (name := f"{module}.target") in actuators:
@@ -48,7 +48,7 @@ class Route:
 
     @property
     def last(self) -> bool:
-        """Whether nothing comes behind the present goal."""
+        """Return whether the present goal is the last one."""
         return not self._ahead
 
     def skip(self, count: int) -> None:

@@ -77,12 +77,12 @@ class Rrt:
         return path if here.clear(path[0], path[1]) else ()
 
     def _holds(self, p: Point) -> bool:
-        """Whether a place is in the arena."""
+        """Return whether a place is in the arena."""
         low, high = self._low, self._high
         return low.x <= p.x <= high.x and low.y <= p.y <= high.y and low.z <= p.z <= high.z
 
     def _held(self, p: Point) -> Point:
-        """The place in the arena that is nearest to a place."""
+        """Return the place in the arena that is nearest to a place."""
         low, high = self._low, self._high
         return Point(*(max(a, min(b, v)) for a, b, v in zip(_parts(low), _parts(high), _parts(p), strict=True)))
 
@@ -177,7 +177,7 @@ def _reduced(points: list[Point], here: Room) -> list[Point]:
 
 
 def _at(points: list[Point], lengths: list[float], along: float) -> tuple[int, Point]:
-    """The place so many metres along a path, and which of its parts it is on."""
+    """Return the point at this arc length (metres) of a path, and the index of its segment."""
     for i, part in enumerate(lengths):
         if along <= part and part > 0.0:
             return i, points[i] + (points[i + 1] - points[i]) * (along / part)

@@ -55,7 +55,7 @@ class Scene(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, named: tuple[Grid, ...] | tuple[Point, ...], others: tuple[Path, ...]) -> Scene:
-        """What a program names as obstacles, all Grids or all Points, and the others' paths."""
+        """Return what a program names as obstacles, all Grids or all Points, and the others' paths."""
         grids = tuple(g for g in named if isinstance(g, Grid))
         return cls(grids, tuple(p for p in named if isinstance(p, Point)), others)
 

@@ -1,4 +1,4 @@
-"""The sim bundle's command line: runs the fleet and writes trace, summary, pictures and report."""
+"""Command line of the sim bundle: runs the fleet and writes trace, summary, pictures and report."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from koordgen.runtime.ops.host import install_requirements, pip_install
-from targets.sim.base.folder import GIVEN, SOURCE, Foreign, RunFolder
+from targets.sim.base.folder import GIVEN, SOURCE, ForeignFolder, RunFolder
 from targets.sim.base.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.base.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
 from targets.sim.physics.contacts import NoEngine, choose
 from targets.sim.run import faults
-from targets.sim.run.scatter import scattered
+from targets.sim.run.start_perturbation import scattered
 
 if TYPE_CHECKING:
     from koordgen.runtime.trace.schema import Header
-    from targets.sim.follow.guide import Guide
-    from targets.sim.follow.plan import Plan
+    from targets.sim.follow.guide import ReplayGuide
+    from targets.sim.follow.plan import ReplayPlan
     from targets.sim.judging.watch import Watcher
     from targets.sim.judging.windows import Windows
     from targets.sim.run.progress import Progress
     from targets.sim.run.run import Outcome, Run
     from targets.sim.view.foxglove.stream import Streamed
-    from targets.sim.view.web.control import Given
-    from targets.sim.view.web.live import Live, Paced
+    from targets.sim.view.web.control import ManualFaults
+    from targets.sim.view.web.live import Live, PaceLimit
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 6, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -48,17 +48,17 @@ REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
 )
-EXTRAS = {"foxglove-sdk": "'koordgen[foxglove]'"}  # what a bundle does not require, and how it is installed
-FOXGLOVE_PORT = 8765  # the one that Foxglove suggests
+EXTRAS = {"foxglove-sdk": "'koordgen[foxglove]'"}  # optional package -> the extra that installs it
+FOXGLOVE_PORT = 8765  # Foxglove's default port
 NEEDED = ("numpy", "matplotlib")  # and a contact engine
 
 
 def main(root: Path, argv: list[str] | None = None) -> int:
-    """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
+    """Run the bundle at `root`. Return the exit status. Usage errors raise SystemExit(2)."""
     parser = _parser(root, sys.argv[1:] if argv is None else argv)
     options = parser.parse_args(argv)
     if options.pace and not options.lockstep:
-        parser.error("--pace is for --lockstep; in real time a run goes at its own")
+        parser.error("--pace needs --lockstep; a real-time run cannot be slowed")
     try:
         scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
@@ -71,7 +71,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         from targets.sim.view.foxglove import stream
         from targets.sim.view.web import live
 
-        # The views first: what is in their way must not cost what an earlier run left.
+        # Start the views first: if one fails, the results of an earlier run must survive.
         offer = {"lockstep": options.lockstep, "faults": plan is None}
         header = _header(scenario, plan, options)
         with (
@@ -83,7 +83,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
             return _run(root, scenario, (schedule, told), plan, folder, options, (view, streamed))
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
-    except (Foreign, NoEngine) as error:
+    except (ForeignFolder, NoEngine) as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
         hint = pip_install(EXTRAS[error.name]) if error.name in EXTRAS else install_requirements(root)
@@ -99,11 +99,11 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         return _fail(INTERRUPTED, "interrupted", "")
     except Exception:
         traceback.print_exc()
-        return _fail(INTERNAL, "this is a mistake of koordgen; please report it with the lines above", "")
+        return _fail(INTERNAL, "internal error of koordgen; please report it with the lines above", "")
 
 
 def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
-    """What is wrong in `argv` is told of the command that the user called."""
+    """Return the parser. Usage errors name the command that the user called, not the bundle."""
     key = "--invoked-as="
     invoked = next((word.removeprefix(key) for word in argv if word.startswith(key)), None)
     parser = argparse.ArgumentParser(
@@ -113,20 +113,26 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--duration", type=_seconds, default=DURATION, metavar="S", help="mission time, default 30 s")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
-    parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
-    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
-    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when")
-    parser.add_argument("--follow", type=Path, metavar="FILE", help="a plan of a counterexample; koordgen makes it")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of all randomness in the world, default 0"
+    )
+    parser.add_argument("--lockstep", action="store_true", help="run in one process, repeatable, as fast as possible")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="output folder, default run-<app>")
+    parser.add_argument(
+        "--settings", type=Path, metavar="FILE", help="JSON object that overrides the scenario's settings"
+    )
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="faults of the run, with their times")
+    parser.add_argument(
+        "--follow", type=Path, metavar="FILE", help="plan of a counterexample to replay, written by koordgen"
+    )
     for name in CONDITIONS:
         what = "0 to 1" if name in PROBABILITIES else "seconds"
         parser.add_argument(
             f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
         )
-    later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
+    later = "no report and no pictures; `koordgen report` and `export` create them later"
     parser.add_argument("--no-report", action="store_true", help=later)
-    parser.add_argument("--windows", action="store_true", help="tell of every window of every robot, in windows.jsonl")
+    parser.add_argument("--windows", action="store_true", help="record every window of every robot in windows.jsonl")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: see --live)")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
@@ -134,7 +140,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--live", type=_port, nargs="?", const=0, metavar="PORT", help=live)
     foxglove = f"stream the run to Foxglove at ws://127.0.0.1:PORT, default {FOXGLOVE_PORT}; 0: any free one"
     parser.add_argument("--foxglove", type=_port, nargs="?", const=FOXGLOVE_PORT, metavar="PORT", help=foxglove)
-    pace = "of a run in lockstep: at most so many times real time"
+    pace = "limit a lockstep run to this multiple of real time"
     parser.add_argument("--pace", type=_factor, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
@@ -157,7 +163,7 @@ def _condition(name: str) -> Callable[[str], float]:
 
 
 def _seconds(text: str) -> float:
-    return _positive(text, "time to run for; give seconds")
+    return _positive(text, "duration; give seconds")
 
 
 def _factor(text: str) -> float:
@@ -170,7 +176,7 @@ def _positive(text: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is no {what}, more than 0")
+        raise argparse.ArgumentTypeError(f"{text} is no {what}, greater than 0")
     return value
 
 
@@ -185,7 +191,7 @@ def _coloured(found: re.Match[str]) -> str:
 
 
 def _print(text: str) -> None:
-    """Print a result. The verdict stands, and is the exit status, also when the reader of the output has gone."""
+    """Print a result. A closed output is no error: the verdict is also the exit status."""
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
         text = re.sub(r"^(\S+: )(HELD|VIOLATED|HOST OVERLOADED)", _coloured, text)
     try:
@@ -199,8 +205,10 @@ def _fail(status: int, message: str, hint: str) -> int:
     return status
 
 
-def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
-    """What a run follows; it takes as long as that does, in lockstep. Raises BadScenario."""
+def _plan(scenario: Scenario, options: argparse.Namespace) -> ReplayPlan | None:
+    """Return the plan to replay, with the options it implies: lockstep, and its own duration.
+
+    Raises BadScenario."""
     if options.follow is None:
         return None
     from targets.sim.follow.plan import load as load_plan
@@ -211,18 +219,18 @@ def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
 
 
 def _require(scenario: Scenario, placed: bool) -> None:
-    """Find out now, and not after the run, that a package is missing. Bodies that are placed may be anywhere."""
-    from targets.sim.run import stage
+    """Fail now, not after the run, if a package is missing. `placed`: bodies may be anywhere."""
+    from targets.sim.run import scene
 
     for name in NEEDED:
         if importlib.util.find_spec(name) is None:
             raise ModuleNotFoundError(name=name)
     if not placed:
-        stage.check(scenario)
+        scene.check(scenario)
 
 
 def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule, Any]:
-    """What goes wrong in this run, and the scenario file's plain values. Raises BadScenario."""
+    """Return the faults of this run, and the plain values of the scenario file. Raises BadScenario."""
     names = [robot.name for robot in scenario.robots]
     found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
@@ -240,7 +248,7 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(
-    root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: Plan | None, folder: Path,
+    root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: ReplayPlan | None, folder: Path,
     options: argparse.Namespace,
     views: tuple[Live | None, Streamed | None],
 ) -> int:  # fmt: skip
@@ -277,7 +285,7 @@ def _run(
     if windows is not None:
         windows.write(folder, outcome.ended)
     if paced is not None and paced.waited:
-        found.shares = {}  # of time, of which most went to waiting
+        found.shares = {}  # shares of the time mean nothing if most of it was waiting
     found.reproduce = _reproduce(root, scenario, folder, options, given.count if given is not None else 0)
     summary.write(found, folder)
     left = folder if options.no_report else folder / "report.html"
@@ -295,28 +303,30 @@ def _run(
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 
-def _followed(guide: Guide, outcome: Outcome) -> int:
+def _followed(guide: ReplayGuide, outcome: Outcome) -> int:
     status, message = guide.result(outcome)
     if status == INTERNAL:
-        return _fail(status, message, "agents do not as their program means: please report it with the trace")
+        return _fail(
+            status, message, "the agents' code disagrees with the program's semantics: please report it with the trace"
+        )
     _print(message)
     return status
 
 
 def _following(
-    root: Path, scenario: Scenario, plan: Plan, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher, Guide]:
-    """As `_made`, of a run that follows a plan."""
-    from targets.sim.follow.conduct import Follow
-    from targets.sim.follow.guide import Guide
+    root: Path, scenario: Scenario, plan: ReplayPlan, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher, ReplayGuide]:
+    """Return the run, its watcher and its guide, for a run that replays a plan."""
+    from targets.sim.follow.conduct import ReplayLockstep
+    from targets.sim.follow.guide import ReplayGuide
     from targets.sim.judging import watch
     from targets.sim.run.run import Run
 
     properties = watch.load(root, [served for served, _, _ in scenario.drivers])
     watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
     shutil.copytree(root / SOURCE, folder / SOURCE)
-    guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
-    run = Run(scenario, Follow(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
+    guide = ReplayGuide(plan, scenario.robots, scenario.delta, properties.measured)
+    run = Run(scenario, ReplayLockstep(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
     run.companions += [watcher, guide]
     return run, watcher, guide
 
@@ -324,7 +334,7 @@ def _following(
 def _made(
     root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, progress: Progress
 ) -> tuple[Run, Watcher, Windows | None]:
-    """The run with all that goes along with it, ready to be executed."""
+    """Return the run with its companions, ready to execute."""
     from targets.sim.judging import watch
     from targets.sim.judging.idle import IDLE_TIMEOUT, Idle
     from targets.sim.judging.windows import Windows
@@ -345,16 +355,16 @@ def _made(
 
 def _steered(
     run: Run, wrong: tuple[Schedule, Any], folder: Path, options: argparse.Namespace, view: Live | None
-) -> tuple[Given | None, Paced | None]:
-    """Add the companions that bring about faults, and that hold the run back: as its options or as the page says."""
-    from targets.sim.view.web.control import Control, Given
-    from targets.sim.view.web.live import Paced
+) -> tuple[ManualFaults | None, PaceLimit | None]:
+    """Add the companions that inject faults and limit the pace, from the options or for the live view."""
+    from targets.sim.view.web.control import Control, ManualFaults
+    from targets.sim.view.web.live import PaceLimit
 
     schedule, told = wrong
-    given, paced = None, Paced(options.pace) if options.lockstep else None
+    given, paced = None, PaceLimit(options.pace) if options.lockstep else None
     if view is not None:
         if options.follow is None:
-            given = Given(faults.Faults(schedule, open=True), told, folder)
+            given = ManualFaults(faults.Faults(schedule, open=True), told, folder)
         run.companions.append(Control(view, given, paced))
         return given, paced
     if schedule != Schedule() and options.follow is None:
@@ -364,8 +374,8 @@ def _steered(
     return None, paced
 
 
-def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
-    """The merged trace's, of a run that has a round 1."""
+def _header(scenario: Scenario, plan: ReplayPlan | None, options: argparse.Namespace) -> Header:
+    """Return the header of the merged trace, assuming that round 1 begins."""
     from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 
     names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
@@ -384,7 +394,7 @@ def _report(folder: Path) -> None:
 
 
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, given: int) -> dict[str, str]:
-    """Values that repeat the run, by name. `given`: how many faults were given by hand."""
+    """Return the values that repeat the run, by name. `given`: number of faults injected by hand."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
     if options.lockstep:
         command.append("--lockstep")
@@ -393,7 +403,7 @@ def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.N
     if options.scenario:
         command += ["--scenario", str(folder / "faults.json")]
     command += [f"--{name}={value:g}" for name in CONDITIONS if (value := getattr(options, name)) is not None]
-    by_hand = f"{given}, given in the live view; to have them again, add --scenario {shlex.quote(str(folder / GIVEN))}"
+    by_hand = f"{given}, injected in the live view; to repeat them, add --scenario {shlex.quote(str(folder / GIVEN))}"
     return {
         **({"faults by hand": by_hand} if given else {}),
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),

@@ -15,7 +15,7 @@ from koordgen.lang.semantics.step import initial, round_, run_init
 from koordgen.runtime.config.settings import Box, Safety
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.points import Point
-from koordgen.runtime.vehicle.body import Body
+from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Sensed
 from koordgen.runtime.vehicle.safety import Guard, own_position
 from tests.lang.semantics.programs import compiled
@@ -86,7 +86,7 @@ def test_semantics() -> None:
 
 def test_robots() -> None:
     box = Box(Point(-9, -9, -9), Point(9, 9, 9))
-    body = Body(generated(), FakePlatform(Point()), box, 1.0, pytest.fail)
+    body = VehicleInterface(generated(), FakePlatform(Point()), box, 1.0, pytest.fail)
     body.begin(Sensed({TIP: Point(2, 0, 0), THERE: False}, 0.5))
     assert body.actuators == {GRIP: Point(2, 0, 0)}
     assert body.sensors(Sensed({TIP: Point(2, 0, 0), THERE: False}, 0.5))[THERE] is True

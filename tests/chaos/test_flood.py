@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from benchmarks.fixtures.fleet import Fleet
-from koordgen.runtime.agent.outbox import AHEAD
+from koordgen.runtime.agent.output_commit import AHEAD
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.values.points import Point
 from tests.chaos.flood import Attacker

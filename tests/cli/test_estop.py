@@ -362,7 +362,7 @@ def test_no_state_is_warned_of(bundles: list[Path], fleet: Path, started: list[s
     process = start(bundles[0], started, "--quiet")
     wait_for(bundles[:1], "joining")
     process.send_signal(signal.SIGTERM)
-    assert "warning: state: none is kept" in process.communicate(timeout=5)[1]
+    assert "warning: state: nothing is persisted" in process.communicate(timeout=5)[1]
 
 
 def test_a_full_disk_is_status_5_before_anything_moves(

@@ -98,10 +98,10 @@ def test_a_platform_is_made_from_default_settings_and_senses_what_the_manifest_o
 
 @agents_by_name
 def test_simulation_names_a_body_and_a_device_of_the_harness(target: manifest.Target) -> None:
-    from targets.sim.run import stage
+    from targets.sim.run import scene
 
-    assert target.simulation["body"] in stage.BODIES
-    assert target.simulation["device"] in stage.DEVICES
+    assert target.simulation["body"] in scene.BODIES
+    assert target.simulation["device"] in scene.DEVICES
 
 
 @agents_by_name

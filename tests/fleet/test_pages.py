@@ -59,8 +59,8 @@ def test_every_key_of_safety_is_documented_with_its_default() -> None:
         "rounds in a row",
         "not count",
         "coming back to the mission",
-        "does not count in the fleet, asks to be let in",
-        "began anew during the mission and cannot come back",
+        "removed from the fleet, asks to rejoin",
+        "restarted without state during the mission and cannot rejoin",
     ],
 )
 def test_what_is_said_of_logs_is_what_robots_log(words: str) -> None:

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import pytest
 
-from koordgen.runtime.agent.outbox import Outbox
+from koordgen.runtime.agent.output_commit import OutputCommit
 from koordgen.runtime.replication import replica, state_machine, views
 from tests.model.lab import Violation
 from tests.model.schedules import Schedule
@@ -49,7 +49,7 @@ BROKEN = {
     "every commit counts": (state_machine, "arbitrate", lambda entries, round_, n_sys: (list(entries), [])),
     "one vote decides": (views, "majority", lambda n_sys: 1),
     "who comes back goes on where it was": (
-        Outbox, "settle", lambda self, acted: (self.life, [w.record for w in self._waiting]),
+        OutputCommit, "settle", lambda self, acted: (self.life, [w.record for w in self._waiting]),
     ),
 }  # fmt: skip
 

@@ -15,7 +15,7 @@ from koordgen import cli
 from koordgen.build.bundle.write import SUMS, sums
 from koordgen.cli.base import building
 from tests.operate.test_run_folder import PROGRAM, flight
-from tests.verify.replay.kept import Kept
+from tests.verify.replay.parts import Kept
 
 HOSTS = {"alice": "one", "bert": "one", "cleo": "two"}
 AGENT = b"""\

@@ -17,7 +17,7 @@ from koordgen.operate.basestation import all_targets
 from koordgen.operate.run_folder import flown, write_trace
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import BadTrace
-from tests.verify.replay.kept import Kept
+from tests.verify.replay.parts import Kept
 from tests.verify.replay.runs import Run
 
 PROGRAM = """\

@@ -1,6 +1,6 @@
-"""Commands that run: harnesses, campaign, validate, and what is made of a run that is over.
+"""Commands for experiments: harnesses, campaign, validate, and commands for finished runs.
 
-Owns: what is asked, what is printed, and the exit status of each.
+Owns: the options, the output and the exit status of each.
 Offers: one module for each command.
 Must not import: `cli.operate`.
 """

@@ -1,4 +1,4 @@
-"""`koordgen report`, `koordgen export` and `koordgen show`: what is made of a run that is over."""
+"""`koordgen report`, `koordgen export` and `koordgen show`: documents about a finished run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from koordgen.lang import resources
 
 
 def afterwards(options: Namespace) -> int:
-    """The harness that left the run knows how."""
+    """Run one of these commands with the code of the harness that wrote the run."""
     sys.path.insert(0, str(resources.targets().parent))
     from koordgen.runtime.trace.schema import FORMAT, BadTrace
     from targets.sim.view import commands

@@ -21,7 +21,7 @@ from typing import Any
 from koordgen.cli.base import building, console
 from koordgen.cli.base.terminal import Line
 from koordgen.cli.experiment.harness import read_scenario
-from koordgen.experiment.campaign import crew, drive, plan, store, vary
+from koordgen.experiment.campaign import drive, executor, plan, store, vary
 from koordgen.experiment.campaign.task import Job
 from koordgen.fleet import manifest
 from koordgen.fleet.manifest import Target
@@ -34,11 +34,11 @@ OWN = {
     "live",
     "settings",
     "invoked-as",
-}  # options of a run that a campaign says itself, or that it has no use for
+}  # options of a run that a campaign sets itself or cannot use
 
 
 def campaign(options: Namespace) -> int:
-    """Plan it, claim its folder, carry it out, show the table."""
+    """Plan the campaign, claim its folder, execute the runs, print the table."""
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     try:
         varied = vary.parse(options.vary)
@@ -46,7 +46,7 @@ def campaign(options: Namespace) -> int:
         if count is None:
             raise vary.BadVary("say how many runs with --runs N")
         runs = plan.runs(varied, count, harness.settings)
-        _fitting(runs, harness)
+        _check_variation(runs, harness)
     except vary.BadVary as error:
         way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
         raise console.Failure(console.USAGE, str(error), way) from None
@@ -59,20 +59,20 @@ def campaign(options: Namespace) -> int:
     scenarios = _scenarios(runs, bundles[harness.name])
     sums = bundles[harness.name][SUMS] + "".join(scenarios.values()).encode()
     verdict = _digest(Path(options.verdict).read_bytes()) if options.verdict else ""
-    wanted = plan.Plan(app, _digest(sums), verdict, tuple(fixed), tuple(options.vary), count)
+    wanted = plan.CampaignPlan(app, _digest(sums), verdict, tuple(fixed), tuple(options.vary), count)
     out = Path(options.out or f"campaign-{app}")
     line = Line(sys.stderr)
     show = (lambda _: None) if options.quiet else line.show
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, _builder(options, harness), runs)
-        _accepted(made.of(runs[0]), _telling(runs, vary.cells(varied)), fixed, harness)
+        _check_accepted(made.of(runs[0]), _representative_runs(runs, vary.cells(varied)), fixed, harness)
         try:
-            with closing(_crew(options)) as workers, store.claimed(out, wanted, options.resume) as kept:
+            with closing(_executor(options)) as workers, store.claimed(out, wanted, options.resume) as kept:
                 job = _jobs(options, out, fixed, harness, scenarios)
-                carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
+                carry_out = partial(drive.execute_runs, runs, kept, workers, made, job, show)
                 ended = _ended(carry_out, kept, count, line)
                 _show_table(options, kept, app, count, vary.cells(varied), ended is None)
-        except (store.Unusable, crew.Unreachable) as error:
+        except (store.FolderUnusable, executor.ClusterUnreachable) as error:
             raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
         except OSError as error:
             raise console.Failure(console.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
@@ -81,14 +81,19 @@ def campaign(options: Namespace) -> int:
     return STATUS[_verdict(kept)]
 
 
-def _verdict(kept: store.Store) -> str:
+def _verdict(kept: store.CampaignStore) -> str:
     """Return the worst outcome of all runs: `held`, `failed` (a run could not be made) or `violated`."""
     outcomes = {result.outcome for result in kept.results.values()}
     return "violated" if "violated" in outcomes else "failed" if "failed" in outcomes else "held"
 
 
 def _show_table(
-    options: Namespace, kept: store.Store, app: str, planned: int, cells: Sequence[Mapping[str, str]], whole: bool
+    options: Namespace,
+    kept: store.CampaignStore,
+    app: str,
+    planned: int,
+    cells: Sequence[Mapping[str, str]],
+    whole: bool,
 ) -> None:
     try:
         text = drive.write_table(kept, app, planned, cells)
@@ -100,19 +105,19 @@ def _show_table(
         print(text, end="", file=console.output(options))
         print(f"table and pictures: {kept.folder}", file=console.output(options))
     except OSError:
-        if whole:  # else what ended the campaign is what there is to tell
+        if whole:  # otherwise the reason why the campaign ended is reported
             raise
 
 
-def _crew(options: Namespace) -> crew.Crew:
+def _executor(options: Namespace) -> executor.Executor:
     if options.cluster:
-        return crew.Cluster(options.cluster)
-    # In real time two runs disturb one another.
-    return crew.Local(options.jobs or ((os.cpu_count() or 1) if options.lockstep else 1))
+        return executor.DaskCluster(options.cluster)
+    # Runs in real time would disturb one another.
+    return executor.LocalPool(options.jobs or ((os.cpu_count() or 1) if options.lockstep else 1))
 
 
 def _fixed(options: Namespace) -> list[str]:
-    """The bundle's options that all runs have."""
+    """Return the options that all runs pass to the bundle."""
     found = [] if options.duration is None else [f"--duration={options.duration:g}"]
     return [*found, "--lockstep"] if options.lockstep else found
 
@@ -122,7 +127,7 @@ def _digest(data: bytes) -> str:
 
 
 def _builder(options: Namespace, harness: Target) -> drive.Build:
-    """Builds without a word: what there is to say of the program was said before."""
+    """Return a function that builds bundles silently. Diagnostics were already reported."""
 
     def build(params: Mapping[str, str], folder: Path) -> None:
         from koordgen.build.pipeline import plan_file
@@ -138,8 +143,10 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
     return build
 
 
-def _fitting(runs: Sequence[plan.Run], harness: Target) -> None:
-    """Whether what is varied may be varied, and settings have values that the manifest allows. Raises BadVary."""
+def _check_variation(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
+    """Check that the named things may vary, and that the manifest allows the values of settings.
+
+    Raises BadVary."""
     for name in OWN.intersection(runs[0].flags):
         raise vary.BadVary(f"{name}: each run has its own")
     for name, value in dict.fromkeys(item for run in runs for item in _settings(run, harness).items()):
@@ -147,8 +154,10 @@ def _fitting(runs: Sequence[plan.Run], harness: Target) -> None:
             raise vary.BadVary(f"{name}={value}: {why}")
 
 
-def _settings(run: plan.Run, harness: Target) -> dict[str, Any]:
-    """What a run sets of the harness: a text where that is wanted, else a number, true or false."""
+def _settings(run: plan.PlannedRun, harness: Target) -> dict[str, Any]:
+    """Return the harness' settings of a run.
+
+    A value becomes a number or bool unless the setting is a text."""
     found: dict[str, Any] = dict(run.settings)
     for name, text in run.settings.items():
         if harness.settings[name].type != "string":
@@ -158,15 +167,16 @@ def _settings(run: plan.Run, harness: Target) -> dict[str, Any]:
     return found
 
 
-def _scenarios(runs: Sequence[plan.Run], bundle: Mapping[str, bytes]) -> dict[str, str]:
-    """What is in the scenario files that are varied, as JSON, by path: runs elsewhere have no such files. Raises
-    Rejected, with line and column."""
+def _scenarios(runs: Sequence[plan.PlannedRun], bundle: Mapping[str, bytes]) -> dict[str, str]:
+    """Return the contents of the varied scenario files as JSON, by path, since workers lack these files.
+
+    Raises Rejected, with line and column."""
     paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
     return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
-def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> list[plan.Run]:
-    """The runs in which each value of a list stands once, and the last one, for the ends of ranges and seeds."""
+def _representative_runs(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
+    """Return the runs in which each value of a list occurs once, and the last run."""
     seen: set[tuple[str, str]] = set()
     found = []
     for run in runs[: len(cells)]:
@@ -177,8 +187,8 @@ def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> li
     return found if runs[-1] in found else [*found, runs[-1]]
 
 
-def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harness: Target) -> None:
-    """Whether the bundle takes these runs: it looks at its options and runs nothing."""
+def _check_accepted(bundle: Path, runs: Sequence[plan.PlannedRun], fixed: Sequence[str], harness: Target) -> None:
+    """Check that the bundle accepts the options of these runs. Nothing is run. Raises Failure."""
     for run in runs:
         flags = [*fixed, *_flags(run)]
         command = [sys.executable, str(bundle), "--check", *flags]
@@ -195,17 +205,17 @@ def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harn
             raise console.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(more))
 
 
-def _flags(run: plan.Run) -> list[str]:
+def _flags(run: plan.PlannedRun) -> list[str]:
     return [f"--{name}={value}" for name, value in run.flags.items()]
 
 
 def _jobs(
     options: Namespace, out: Path, fixed: Sequence[str], harness: Target, scenarios: Mapping[str, str]
-) -> Callable[[plan.Run], Job]:
-    """What is to be run for a run."""
+) -> Callable[[plan.PlannedRun], Job]:
+    """Return a function that makes the job of a run."""
     script = str(Path(options.verdict).resolve()) if options.verdict else ""
 
-    def job(run: plan.Run) -> Job:
+    def job(run: plan.PlannedRun) -> Job:
         shown = shlex.join(_single(options, run, fixed, harness, out / store.RUNS / run.name))
         spared = () if options.reports else ("--no-report",)
         own = [flag for flag in _flags(run) if not flag.startswith(f"--{SCENARIO}=")]
@@ -218,12 +228,14 @@ def _jobs(
 
 def _ended(
     carry_out: Callable[[Callable[[], bool]], None],
-    kept: store.Store,
+    kept: store.CampaignStore,
     planned: int,
     line: Line,
     again: str = "--resume",
 ) -> BaseException | None:
-    """Why it ended before its end, or None. What was finished is there either way; `again` goes on with it."""
+    """Execute the runs.
+
+    Return why they ended early, or None. Finished runs are stored; `again` continues with them."""
     resumable = ("{} of {} runs are finished; " + f"{again} goes on from there").format
     try:
         with _noticed_signals() as noticed:
@@ -236,15 +248,15 @@ def _ended(
         line.end()
         said = f"the disk is full; {resumable(len(kept.results), planned)}"
         return console.Failure(console.SURROUNDINGS, f"{kept.folder}: {said}", "make room")
-    except crew.Unreachable as lost:
+    except executor.ClusterUnreachable as lost:
         line.end()
         return console.Failure(console.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)
     line.end()
     return None
 
 
-def _single(options: Namespace, run: plan.Run, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
-    """The command that repeats one run, for its report."""
+def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
+    """Return the command that repeats one run, for its report."""
     params = [f"--param={text}" for text in [*options.param, *(f"{n}={v}" for n, v in run.params.items())]]
     settings = [f"# {name}: {value}" for name, value in run.settings.items()]
     words = ["koordgen", harness.name, options.program, f"--fleet={options.fleet}", *params, *fixed, *_flags(run)]
@@ -253,7 +265,7 @@ def _single(options: Namespace, run: plan.Run, fixed: Sequence[str], harness: Ta
 
 @contextmanager
 def _noticed_signals() -> Iterator[list[int]]:
-    """SIGINT, SIGTERM and SIGHUP end a campaign where it can be resumed, and not in the middle of a line."""
+    """Record SIGINT, SIGTERM and SIGHUP, so that the campaign ends where it can be resumed."""
     noticed: list[int] = []
     watched = [s for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) != signal.SIG_IGN]
     before = {each: signal.signal(each, lambda number, _: noticed.append(number)) for each in watched}

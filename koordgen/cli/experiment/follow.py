@@ -1,4 +1,4 @@
-"""`koordgen sim --follow TRACE`: the trace, the program and the fleet brought together before anything runs."""
+"""`koordgen sim --follow TRACE`: checks that trace, program and fleet fit together."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.follow.exact import agree, nearest
-from koordgen.verify.follow.plan import CannotFollow, ModelOnly, document, planned
-from koordgen.verify.follow.read import Counterexample, read
+from koordgen.verify.follow.plan import CannotExecute, ModelOnly, document, make_plan
+from koordgen.verify.follow.read import CounterexampleTrace, read
 from koordgen.verify.replay.functions import CannotCall, externs
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
 REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")
 
 
-def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
-    """The params that the fleet leaves to the trace, and what the bundle is to follow. Raises Rejected, Failure."""
+def plan_of_trace(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
+    """Return the params that only the trace has, and the plan for the bundle. Raises Rejected, Failure."""
     for name in REFUSED:
         if getattr(options, name) not in (None, False):
-            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace says all that happens in the run")
+            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace determines all events of the run")
     try:
         given = read(Path(options.follow))
     except BadTrace as error:
@@ -36,15 +36,15 @@ def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     program, more = _program(options, given)
     program_hash, functions = hash_of(program, options.program, options.functions)
     try:
-        return more, document(planned(program, given, externs(program, functions)), program_hash)
-    except CannotFollow as error:
+        return more, document(make_plan(program, given, externs(program, functions)), program_hash)
+    except CannotExecute as error:
         raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
 
 
-def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[str, Value]]:
-    """The program with the params of fleet and trace, and those that only the trace says."""
+def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, dict[str, Value]]:
+    """Return the program with the params of fleet and trace, and the params that only the trace has."""
     from koordgen.fleet import manifest
 
     checked = check_file(options.program)
@@ -64,36 +64,36 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
         program = with_params(checked.program, {**more, **own})
         versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
     except BadParam as error:
-        raise Failure(WRONG, f"{given.path}: {error}", "those are params of trace, fleet or command") from None
+        raise Failure(WRONG, f"{given.path}: {error}", "check the params of trace, fleet and command") from None
     for name, here in initial(program, given.n_sys).params.items():
         if not agree(given.params[name], plain(here)):
             raise Failure(
-                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in it, and {plain(here)!r} here",
+                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in the trace, but {plain(here)!r} here",
                 f"look for a counterexample with --fleet {options.fleet} and the same --param",
             )  # fmt: skip
     hashes = [hash_of(version, options.program, options.functions)[0] for version in versions]
-    if given.program_hash not in hashes:  # params may be written in more than one way
+    if given.program_hash not in hashes:  # equal params may be written in different ways
         raise Failure(
             WRONG, f"{given.path} is of a program with the hash {given.program_hash or '(none)'}; {options.program} "
             f"has {hashes[0]}",
-            "another version of the program or of its extern functions: look for the counterexample anew",
+            "the program or its extern functions have changed: search for the counterexample again",
         )  # fmt: skip
     return program, more
 
 
-def _told(program: Program, given: Counterexample) -> dict[str, Value]:
-    """The trace's params, as `--param` has them. Raises Failure."""
+def _told(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
+    """Return the trace's params in the form of `--param`. Raises Failure."""
     types = {p.name: p.type for p in program.params}
     if set(given.params) != set(types):
         raise Failure(
             WRONG, f"{given.path} has the params {_names(given.params)}; {program.path} has {_names(types)}",
-            "another version of the program: look for the counterexample anew",
+            "the program has changed: search for the counterexample again",
         )  # fmt: skip
     try:
-        values = {name: taken(value, types[name], nearest) for name, value in given.params.items()}
+        values = {name: from_trace(value, types[name], nearest) for name, value in given.params.items()}
         return {name: as_given(plain(value), types[name]) for name, value in values.items()}
     except (BadValue, ValueError, TypeError) as error:
-        raise Failure(WRONG, f"{given.path}: its params are none of this program's: {error}") from None
+        raise Failure(WRONG, f"{given.path}: its params do not fit this program: {error}") from None
 
 
 def _names(params: Mapping[str, Any]) -> str:

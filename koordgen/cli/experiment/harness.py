@@ -1,4 +1,4 @@
-"""A command for each harness: builds its bundle, runs it, and passes on what is asked of it."""
+"""Commands of harnesses: each builds the harness' bundle, runs it, and passes options on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from koordgen.cli.base import building, console
 from koordgen.cli.base.options import PASSED
 from koordgen.fleet import manifest
 
-# One robot in the middle of a free space: metres (local ENU), radians, seconds.
+# Fleet of one robot in the middle of a free space: metres (local ENU), radians, seconds.
 ALONE = """\
 delta: 0.1
 origin: {{latitude: 47.397742, longitude: 8.545594, altitude: 488.0}}
@@ -29,7 +29,7 @@ robots:
 
 
 def harness(options: Namespace) -> int:
-    """Build, run, and hand its exit status on. Without a fleet file one default robot runs."""
+    """Build and run a bundle. Return its exit status. Without a fleet file one default robot runs."""
     if options.fleet is not None:
         return _harness(options)
     if options.follow is not None:
@@ -76,7 +76,9 @@ def _harness(options: Namespace) -> int:
 
 
 def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> None:
-    """Print the run's results as JSON; nothing for a run without a summary, whose error was reported."""
+    """Print the run's results as JSON.
+
+    Nothing for a run without a summary, whose error was already reported."""
     summary = out / "summary.json"
     try:
         if summary.stat().st_mtime < began:
@@ -89,17 +91,18 @@ def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> 
 
 
 def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Of a run that follows a trace: the params that come with it, and what the bundle is to do."""
+    """Return the params of a counterexample to execute, and the plan for the bundle; None without one."""
     if options.follow is None:
         return {}, None
-    from koordgen.cli.experiment.follow import following
+    from koordgen.cli.experiment.follow import plan_of_trace
 
-    return following(options)
+    return plan_of_trace(options)
 
 
 def _run(command: list[str], options: Namespace) -> int:
-    # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
-    # once, whether a signal comes to us alone or, like a terminal's Ctrl-C, to all of our group.
+    # On a first signal the child ends its run and writes its report, on a second one it ends at once. In its own
+    # process group it gets one, whether a signal is sent to this process alone or, like a terminal's Ctrl-C, to its
+    # whole group.
     started: list[subprocess.Popen[bytes]] = []
     early: list[int] = []
 
@@ -108,7 +111,9 @@ def _run(command: list[str], options: Namespace) -> int:
         started[0].send_signal(asked) if started else early.append(asked)
 
     watched = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]  # not with nohup
+    heard = [
+        each for each in watched if signal.getsignal(each) != signal.SIG_IGN
+    ]  # nohup ignores SIGHUP, so the child does, too
     before = {each: signal.signal(each, pass_on) for each in heard}
     try:
         started.append(subprocess.Popen(command, stdout=console.output(options), process_group=0))
@@ -125,7 +130,9 @@ def _run(command: list[str], options: Namespace) -> int:
 
 
 def read_scenario(path: str, bundle: Mapping[str, bytes], duration: float | None) -> Any:
-    """The scenario file as the bundle takes it, for a run of so many seconds or of the usual. Raises Rejected."""
+    """Return the scenario file in the bundle's form, for a run of `duration` or the default length.
+
+    Raises Rejected."""
     from koordgen.build.pipeline import Rejected, read_source
     from koordgen.fleet.scenario import read
     from koordgen.lang.diagnostics import Diagnostic

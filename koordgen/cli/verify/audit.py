@@ -1,4 +1,4 @@
-"""`koordgen audit`: what is asked, what is printed, and the exit status."""
+"""`koordgen audit`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
-from koordgen.verify.audit.finding import Finding
-from koordgen.verify.audit.judge import Judge
-from koordgen.verify.audit.meaning import Meaning
-from koordgen.verify.audit.reading import found, opened
+from koordgen.verify.audit.history import FleetMission, mission
+from koordgen.verify.audit.judge import PropertyJudge
+from koordgen.verify.audit.properties import GeneratedProperties
+from koordgen.verify.audit.result import PropertyResult
 from koordgen.verify.audit.show import Audit, document, report
-from koordgen.verify.audit.story import Mission, mission
+from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
-QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has
+QUERY, ALL_QUERIES = 10.0, 60.0  # seconds for one query of the solver, and for all
 
 
 def audit(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     if options.plot and Path(options.plot).suffix not in PICTURES:
         raise Failure(USAGE, f"--plot {options.plot}: a name that ends in {', '.join(PICTURES)} is expected")
     try:
-        paths = list(dict.fromkeys(path for given in options.traces for path in found(Path(given))))
-        logs = [opened(path) for path in paths]
+        paths = list(dict.fromkeys(path for given in options.traces for path in trace_files(Path(given))))
+        logs = [read_trace_file(path) for path in paths]
         whole = mission(logs)
         program, functions = program_of(options, whole.log.path, whole.log.program_hash)
         judged, ended = _judged(program, functions, whole, options.seconds)
@@ -44,7 +44,7 @@ def audit(options: Namespace) -> int:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     except RecursionError:
         raise Failure(
-            WRONG, "values in these traces are nested too deeply", "no robot of koordgen's writes such"
+            WRONG, "values in these traces are nested too deeply", "robots of koordgen never write such traces"
         ) from None
     blames = [] if ended else blame.blames(program, judged)
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
@@ -62,11 +62,12 @@ def audit(options: Namespace) -> int:
 
 
 def _judged(
-    program: Program, functions: Path | None, whole: Mission, seconds: float | None
-) -> tuple[list[Finding], str]:
-    """The findings, and why they are not of the whole mission; empty where they are. Of the last round that was begun
-    nothing is counted, but a violation is."""
-    line, judge, reached, ended = Line(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
+    program: Program, functions: Path | None, whole: FleetMission, seconds: float | None
+) -> tuple[list[PropertyResult], str]:
+    """Return the results, and why they do not cover the whole mission; empty if they do.
+
+    Of the last round that was begun only a violation is counted."""
+    line, judge, reached, ended = Line(sys.stderr), PropertyJudge(GeneratedProperties(program, functions), whole), 0, ""
 
     def progress(round_: int, last: int) -> None:
         nonlocal reached
@@ -84,17 +85,17 @@ def _judged(
         ended += "are not decided"
     finally:
         line.end()
-    return [*judge.findings, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
+    return [*judge.results, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
 
 
-def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:
+def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
     late = faults.late(whole)
     overran = [f"{late} event{'s' * (late != 1)} were discarded because they took too long"] if late else []
-    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compared(judged, whole)]
+    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compare_monitors(judged, whole)]
 
 
-def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
-    """What the prover says of the program as it was flown, of any number of robots."""
+def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:
+    """Return the prover's verdicts on the program with the params of the flight, for any number of robots."""
     from koordgen.verify.prove.report.verdict import Question, prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
@@ -104,7 +105,7 @@ def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
             verdicts = prove(question, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
-    names = {finding.name for finding in violated}
+    names = {result.name for result in violated}
     return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
 
 

@@ -1,4 +1,4 @@
-"""`koordgen explore`: what is asked, what is printed, and the exit status."""
+"""`koordgen explore`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -25,20 +25,27 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
 from koordgen.lang.source import Source, Span
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import Environment, Lacking, Surroundings, answering
+from koordgen.verify.explore.environment import Environment, EnvironmentSteps, MissingEnvironment, possible_answers
+from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import DEADLOCK, Bounds, Progress, Result, Search, Violation
-from koordgen.verify.explore.show import document, itf, report, told, trace
-from koordgen.verify.prove.report.trace import About
+from koordgen.verify.explore.search import (
+    DEADLOCK,
+    ExplorationBounds,
+    ExplorationProgress,
+    ExplorationResult,
+    FoundViolation,
+    Search,
+)
+from koordgen.verify.explore.show import document, itf, progress_text, report, trace
+from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs
 
-ROBOTS = 3  # where neither --robots nor a fleet says how many
-MORE = 10_000  # states, or as many as there are, that are looked at for a run that agents can do
+ROBOTS = 3  # default, if neither --robots nor a fleet file names a number
+MORE = 10_000  # least limit of states in the search for a run that agents can execute
 
 
 def explore(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     checked = check_file(options.program)
     if options.format == "text":
         tell([(checked.source, d) for d in checked.noticed], options)
@@ -47,50 +54,50 @@ def explore(options: Namespace) -> int:
         around = _environment(options, checked.program, robots)
         given = {**from_fleet, **around.params, **params(options.param)}
         program = with_params(checked.program, given)
-        result = _searched(options, program, robots, around, lambda: _about(options, program, robots, around, given))
+        result = _search(options, program, robots, around, lambda: _origin(options, program, robots, around, given))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    except Lacking as error:
+    except MissingEnvironment as error:
         raise Failure(USAGE, str(error), "`koordgen docs explore` explains such a file") from None
     if options.format == "json":
         print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:
         sys.stdout.write(coloured_verdicts(report(result, program, options.program, robots), sys.stdout))
         sys.stdout.flush()
-    if result.violation is not None:  # told before: a file that cannot be written costs nothing of a long search
+    if result.violation is not None:  # the result is printed first: a failed write loses nothing of a long search
         if options.trace:
-            about = _about(options, program, robots, around, given)
+            about = _origin(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     return _status(result)
 
 
-def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
-    """What a run that was found was made with."""
+def _origin(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> RunOrigin:
+    """Return the origin of a run that was found."""
     hashed, functions = hash_of(program, options.program, options.functions)
-    return About(hashed, tuple(given), answering(around, program, robots), externs(program, functions))
+    return RunOrigin(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
 
 
-def _searched(
-    options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], About]
-) -> Result:
+def _search(
+    options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], RunOrigin]
+) -> ExplorationResult:
     line = Line(sys.stderr)
 
-    def show(progress: Progress) -> None:
+    def show(progress: ExplorationProgress) -> None:
         rate = progress.states / max(progress.seconds, 1e-9)
-        line.show(f"depth {progress.depth}: {told(progress)}, {rate:,.0f} states/s")
+        line.show(f"depth {progress.depth}: {progress_text(progress)}, {rate:,.0f} states/s")
 
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
-    bounds = Bounds(options.rounds, options.states, options.seconds)
+    bounds = ExplorationBounds(options.rounds, options.states, options.seconds)
     started = time.monotonic()
 
     def left() -> float | None:
         return None if options.seconds is None else max(0.0, options.seconds - (time.monotonic() - started))
 
     try:
-        machine = Machine(program, robots, answering(around, program, robots), Path(functions))
-        surroundings = Surroundings(machine, around)
+        machine = Machine(program, robots, possible_answers(around, program, robots), Path(functions))
+        surroundings = EnvironmentSteps(machine, around)
         search = Search(
             machine, surroundings, bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
@@ -111,8 +118,8 @@ def _searched(
             again = second.run().violation
         if again is None or again.name != found.name or not _of_agents(again, program, about(), left()):
             return result._replace(violation=found)
-        rounds = found.moments[-1].round
-        more = rounds < again.moments[-1].round
+        rounds = found.run_states[-1].round
+        more = rounds < again.run_states[-1].round
         return result._replace(violation=again._replace(shortest=rounds if more else None))
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
@@ -120,20 +127,22 @@ def _searched(
         line.end()
 
 
-def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
-    """How far a run is looked for among those that agents can do. What is one round of the language may take one of
-    theirs for each robot: they commit one transaction for each lock in a round."""
+def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
+    """Return the bounds of the search for a run that agents can execute.
+
+    One round of the language may take one agents' round for each robot, since agents commit one transaction per lock in
+    a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
-    rounds = found.moments[-1].round * len(found.moments[0].state.robots)
-    return Bounds(rounds, min(states, bounds.states or states), seconds)
+    rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
+    return ExplorationBounds(rounds, min(states, bounds.states or states), seconds)
 
 
-def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
-    """Return whether agents can do each round of a run; an event without a result is a part of it. Where that takes
-    more than
-    `seconds` to find out, the answer is False."""
-    run = found.moments if found.culprit is None else (*found.moments, found.culprit)
+def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
+    """Return whether agents can execute each round of a run, including an event without a result.
+
+    False if that takes more than `seconds` to find out."""
+    run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)
     try:
         with alarm(seconds):
             return is_order_of_agents(program, run, World(about.externs, nobody))
@@ -142,7 +151,7 @@ def _of_agents(found: Violation, program: Program, about: About, seconds: float 
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:
-    """How many robots, and the values of params that a fleet file gives."""
+    """Return the number of robots, and the params in a fleet file."""
     if options.fleet is None:
         return options.robots or ROBOTS, {}
     targets = {name: manifest.load(name) for name in manifest.available()}
@@ -164,7 +173,7 @@ def _environment(options: Namespace, program: Program, robots: int) -> Environme
     return around
 
 
-def _status(result: Result) -> int:
+def _status(result: ExplorationResult) -> int:
     if result.violation is not None:
         return VIOLATED
     if result.stopped == "interrupted":

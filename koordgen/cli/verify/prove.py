@@ -1,4 +1,4 @@
-"""`koordgen prove`: what is asked, what is printed, and the exit status."""
+"""`koordgen prove`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -30,48 +30,48 @@ if TYPE_CHECKING:
     from koordgen.lang.ir.expr import Expr
     from koordgen.lang.source import Source
     from koordgen.verify.prove.report.show import Attacks
-    from koordgen.verify.prove.report.verdict import Verdict
-    from koordgen.verify.prove.smt.solve import Both, Solver
+    from koordgen.verify.prove.report.verdict import InvariantVerdict
+    from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-ALL_QUERIES = 60.0  # seconds, at least
+ALL_QUERIES = 60.0  # least number of seconds for all queries
 
 
 def run(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
     if options.attack_from is not None:
-        from koordgen.cli.verify.attack import again
+        from koordgen.cli.verify.attack import attack_from_file
 
-        return again(options)
+        return attack_from_file(options)
     limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
-            solver.start()  # it loads while the compiler does, and the program is checked
-            return proved(options, solver)
+            solver.start()  # it loads while the compiler is imported and the program checked
+            return prove_program(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
 
 
 def _total(options: Namespace) -> float:
-    """Seconds for the command: all queries, and what is made for them."""
+    """Return the seconds for the whole command: all queries and their preparation."""
     return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
-def proved(options: Namespace, solver: Solver | Both) -> int:
-    """Checks, writes and tells what was asked for. Raises SolverMissing."""
+def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
+    """Check the program, prove it, and print or write what the options name. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file, fleet_params
-    from koordgen.cli.verify.attack import attacked
+    from koordgen.cli.verify.attack import attack_verdicts
 
     checked = check_file(options.program)
     if options.format == "text":
         tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
-    question = fixed(checked.program, given)
-    found = asked(checked.program, question, options.robots, solver, _total(options))
-    attacks = attacked(checked.program, question, found, solver, options)
-    solver.stop()  # what it holds is freed while we tell
-    tell_verdicts(options, found, attacks)
+    question = fixed_params(checked.program, given)
+    found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
+    attacks = attack_verdicts(checked.program, question, found, solver, options)
+    solver.stop()  # its memory is freed while this process prints
+    print_verdicts(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
@@ -79,14 +79,14 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         if made:
             save(options.trace, made)
         else:
-            say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
+            say(f"note: there is no counterexample, so no trace was written to {options.trace}")
     return status(found)
 
 
-def asked(
-    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both, seconds: float
-) -> list[list[Verdict]]:
-    """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
+def verdicts_by_robots(
+    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
+) -> list[list[InvariantVerdict]]:
+    """Return the verdicts for each number of robots, within `seconds` in all. Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm
     from koordgen.lang.semantics.deadline import OutOfTime
     from koordgen.verify.prove.report.verdict import Question, prove
@@ -98,21 +98,21 @@ def asked(
             with alarm(max(0.0, until - time.monotonic())):
                 found.append(prove(Question(program, n, params), solver))
         except OutOfTime:
-            reason = f"the command's {seconds:g} s are over: a longer --timeout makes them more"
+            reason = f"the {seconds:g} s of the command are used up; try a longer --timeout"
             found.append(undecided(program, n, reason))
     return found
 
 
-def undecided(program: Program, robots: int | None, reason: str) -> list[Verdict]:
-    """UNKNOWN of every invariant: the proof as a whole was given up."""
-    from koordgen.verify.prove.report.verdict import Verdict
+def undecided(program: Program, robots: int | None, reason: str) -> list[InvariantVerdict]:
+    """Return UNKNOWN for every invariant, because the whole proof was given up."""
+    from koordgen.verify.prove.report.verdict import InvariantVerdict
 
     names = [p.name for p in program.properties if p.kind == "invariant"]
-    return [Verdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
+    return [InvariantVerdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
 
 
-def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
-    """The params that have a value, as constants; the others may have any. Raises Failure."""
+def fixed_params(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
+    """Return the params that have a value, as constants. The others are arbitrary. Raises Failure."""
     if not given:
         return {}
     from koordgen.lang.analyze.params import BadParam, with_params
@@ -123,8 +123,8 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
         raise Failure(USAGE, str(error)) from None
 
 
-def status(found: list[list[Verdict]]) -> int:
-    """The worst of all verdicts: a violation before what is not known."""
+def status(found: list[list[InvariantVerdict]]) -> int:
+    """Return the exit status of the worst verdict: a violation is worse than an unknown result."""
     said = {verdict.verdict for verdicts in found for verdict in verdicts}
     if "UNSOUND" in said:
         return INTERNAL
@@ -133,7 +133,7 @@ def status(found: list[list[Verdict]]) -> int:
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def tell_verdicts(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
+def print_verdicts(options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks]) -> None:
     from koordgen.cli.base.terminal import coloured_verdicts
     from koordgen.verify.prove.report.show import document, report
 
@@ -147,49 +147,54 @@ def tell_verdicts(options: Namespace, found: list[list[Verdict]], attacks: list[
 
 
 def files(
-    source: Source, program: Program, params: Mapping[str, Expr], robots: list[int | None], found: list[list[Verdict]]
+    source: Source,
+    program: Program,
+    params: Mapping[str, Expr],
+    robots: list[int | None],
+    found: list[list[InvariantVerdict]],
 ) -> dict[str, bytes]:
-    """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last, with
-    the names of all cells."""
+    """Return the files of `--emit`, for all requested numbers of robots.
+
+    Each obligation is as it was asked last, with the names of all cells."""
     from koordgen.lang.node import replace
     from koordgen.verify.prove.obligations.generate import obligations
     from koordgen.verify.prove.smt.emit import folder
 
     made = []
     for number, verdicts in zip(robots, found, strict=True):
-        asked = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
-        wanted = [o for o in obligations(program, number, params) if o.at is None or o.name in asked]
-        made += [replace(asked.get(o.name, o), cells=o.cells) for o in wanted]
+        last = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
+        wanted = [o for o in obligations(program, number, params) if o.at is None or o.name in last]
+        made += [replace(last.get(o.name, o), cells=o.cells) for o in wanted]
     return folder(made, lambda _, line: source.line(line))
 
 
-def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[Verdict]]) -> str:
-    """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
+def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
+    """Return the trace of a counterexample, preferably of one that is a run; empty if there is none."""
     from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
-    from koordgen.verify.prove.report.trace import About, trace
-    from koordgen.verify.replay.values import BadValue, plain, taken
+    from koordgen.verify.prove.report.trace import RunOrigin, trace
+    from koordgen.verify.replay.values import BadValue, from_trace, plain
 
     told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
     if not told:
         return ""
     first = next((t for t in told if t.run is not None), told[0])
     assert first.counterexample is not None
-    state = first.run.moments[0].state if first.run is not None else first.counterexample.before
+    state = first.run.run_states[0].state if first.run is not None else first.counterexample.before
     values = {}
     try:
         for p in program.params:
-            near = taken(plain_value(state.params[p.name]), p.type, nearest)  # as robots have it
+            near = from_trace(plain_value(state.params[p.name]), p.type, nearest)  # rounded to robots' floats
             values[p.name] = as_given(plain(near), p.type)
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
-    except (BadParam, BadValue):  # numbers that robots do not have
+    except (BadParam, BadValue):  # numbers that no robot can represent
         hashed = ""
-    return trace(program, first, About(hashed, tuple(p.name for p in program.params)))
+    return trace(program, first, RunOrigin(hashed, tuple(p.name for p in program.params)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:
-    """The hash of a program in a file, as its bundles have it, and the file of its extern functions."""
+    """Return the hash of a program, equal to that of its bundles, and the file of its extern functions."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import functions_file
@@ -200,7 +205,7 @@ def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Pa
 
 
 def emit(folder: str, files: dict[str, bytes]) -> None:
-    """Writes the folder, whole or not at all; what is not koordgen's stays."""
+    """Write the folder completely or not at all. Files that are not koordgen's are kept."""
     from pathlib import Path
 
     from koordgen.build.bundle.write import SUMS, CannotWrite, sums, write
@@ -213,7 +218,7 @@ def emit(folder: str, files: dict[str, bytes]) -> None:
 
 
 def save(path: str, text: str) -> None:
-    """A file that was asked for by name. Raises Failure."""
+    """Write a file that the user named. Raises Failure."""
     try:
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)

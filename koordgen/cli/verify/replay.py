@@ -1,4 +1,4 @@
-"""`koordgen replay`: what is asked, what is printed, and the exit status."""
+"""`koordgen replay`: options, output and exit status."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Fail
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.replay.fleet import replayed
+from koordgen.verify.replay.fleet import replay_trace
 from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
-from koordgen.verify.replay.trace import Trace, opened
+from koordgen.verify.replay.trace import TraceParts, open_trace
 
-MOST_TOLD = 20
-LONGEST = 200  # characters of a value
+MOST_TOLD = 20  # most differences that are printed
+LONGEST = 200  # longest value in characters
 
 
 def replay(options: Namespace) -> int:
-    """The whole command."""
+    """Run the command. Return its exit status."""
     path = Path(options.trace)
     path = path / "trace.jsonl" if path.is_dir() else path
     counts, found, ended = Counts(), list[Difference](), False
     try:
-        trace = opened(path)
+        trace = open_trace(path)
         path = trace.path
         program, functions = program_of(options, trace.path, trace.program_hash)
-        again = replayed(program, externs(program, functions), trace, counts)
+        again = replay_trace(program, externs(program, functions), trace, counts)
         try:
             with alarm(options.seconds):
                 for difference in again:
@@ -41,7 +41,7 @@ def replay(options: Namespace) -> int:
         raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
     except Unreplayable as error:
         raise Failure(
-            WRONG, f"{trace.place(error.number)}: {error.why}", "what this trace says is not enough to replay it"
+            WRONG, f"{trace.place(error.number)}: {error.why}", "this trace does not contain enough to replay it"
         ) from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
@@ -49,18 +49,18 @@ def replay(options: Namespace) -> int:
         say(_told(difference, trace))
     if len(found) > MOST_TOLD:
         say(f"... and {len(found) - MOST_TOLD} more")
-    late = f", {counts.late} that overran left aside" if counts.late else ""
+    late = f", {counts.late} that took too long not compared" if counts.late else ""
     if counts.violated:
         where = f"{_count(counts.violated, 'event')}"
-        say(f"note: a loop invariant was false in {where}, as the program means: `koordgen audit` says which")
+        say(f"note: a loop invariant was false in {where}, by the program: `koordgen audit` names it")
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
-        say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
+        say(f"note: {trace.place(trace.cut)}: the trace is cut off here; the part before was replayed")
     if trace.since:
         say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
     if ended:
-        say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
+        say(f"note: ended by --seconds {options.seconds:g}: the rest of the trace was not replayed")
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED
@@ -75,7 +75,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
 
 
-def _told(found: Difference, trace: Trace) -> str:
+def _told(found: Difference, trace: TraceParts) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
     return (

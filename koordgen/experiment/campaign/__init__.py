@@ -1,6 +1,6 @@
 """Campaign: many runs of one bundle.
 
-Owns: what varies, who executes runs (a pool, a Dask cluster), the store, the table, plots.
+Owns: variation of runs, their executors (a pool, a Dask cluster), the store of results, the table, plots.
 Offers: `drive`, `table`.
 Must not import: `validate`, the compiler.
 """

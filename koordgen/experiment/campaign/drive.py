@@ -1,4 +1,4 @@
-"""Carries a plan out: hands runs to the crew, writes down what came of them, and ends in order whatever happens."""
+"""Campaign driver: submits runs to the executor and stores their results."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from dataclasses import replace
 from pathlib import Path
 
 from koordgen.experiment.campaign import plots, store, table
-from koordgen.experiment.campaign.crew import Crew, Unreachable
-from koordgen.experiment.campaign.plan import Run
-from koordgen.experiment.campaign.store import FULL, Result, Store
-from koordgen.experiment.campaign.task import Job, Stopped
+from koordgen.experiment.campaign.executor import ClusterUnreachable, Executor
+from koordgen.experiment.campaign.plan import PlannedRun
+from koordgen.experiment.campaign.store import FULL, CampaignStore, RunResult
+from koordgen.experiment.campaign.task import CampaignStopped, Job
 
-LOOK = 0.5  # seconds between two looks
+LOOK = 0.5  # seconds between two checks for finished runs
 Build = Callable[[Mapping[str, str], Path], None]
 
 
 class DiskFull(Exception):
-    """Nothing more can be written; what was finished stands."""
+    """The disk is full; finished runs are stored."""
 
 
 class Bundles:
-    """The bundles of a campaign: one for all runs, and one for each combination of varied params, made when its first
-    run begins and removed after its last. `build` writes one with these params into a folder; `name` is the folder of
-    the bundle itself within."""
+    """Bundles of a campaign: one for each combination of varied params.
 
-    def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[Run]) -> None:
+    A bundle is built when its first run begins, and removed after its last. `build` writes a bundle with these params
+    into a folder; `name` is the bundle's own folder in it."""
+
+    def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[PlannedRun]) -> None:
         self._folder, self._name, self._build = folder, name, build
         self._left = Counter(_key(run.params) for run in runs)
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
-    def of(self, run: Run) -> Path:
-        """The bundle of a run. Raises what `build` raises."""
+    def of(self, run: PlannedRun) -> Path:
+        """Return the bundle of a run. Raises what `build` raises."""
         key = _key(run.params)
         if key not in self._made:
             own = self._folder / str(len(self._made))
@@ -44,8 +45,8 @@ class Bundles:
             self._made[key] = own
         return self._made[key] / self._name
 
-    def done(self, run: Run) -> None:
-        """A run needs its bundle no longer."""
+    def done(self, run: PlannedRun) -> None:
+        """Release the bundle of a finished run."""
         key = _key(run.params)
         self._left[key] -= 1
         if not self._left[key]:
@@ -56,30 +57,32 @@ def _key(params: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(params.items()))
 
 
-def carry_out(
-    runs: Sequence[Run],
-    kept: Store,
-    crew: Crew,
+def execute_runs(
+    runs: Sequence[PlannedRun],
+    kept: CampaignStore,
+    executor: Executor,
     bundles: Bundles,
-    job: Callable[[Run], Job],
+    job: Callable[[PlannedRun], Job],
     tell: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute the runs that are not finished. Raises DiskFull, Unreachable, and KeyboardInterrupt when it finds itself
-    interrupted; whatever it raises, the crew rests and what was finished is written down."""
+    """Execute the runs that are not finished.
+
+    Raises DiskFull and ClusterUnreachable, and KeyboardInterrupt if `interrupted` says so. Whatever it raises, the
+    executor is stopped and finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
-    progress = Progress(len(runs), kept)
-    under_way: dict[Future[Result], Run] = {}
+    progress = CampaignProgress(len(runs), kept)
+    under_way: dict[Future[RunResult], PlannedRun] = {}
     try:
         while waiting or under_way:
-            while waiting and len(under_way) < crew.width:
+            while waiting and len(under_way) < executor.width:
                 run = waiting.popleft()
-                future = crew.submit(job(run), bundles.of(run), kept.run_folder(run.name))
+                future = executor.submit(job(run), bundles.of(run), kept.run_folder(run.name))
                 under_way[future] = run
             finished, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in finished:
                 run = under_way.pop(future)
-                _take(kept, run, future)
+                _store_result(kept, run, future)
                 bundles.done(run)
             tell(progress.text())
             if interrupted():
@@ -89,29 +92,29 @@ def carry_out(
             raise DiskFull from None
         raise
     finally:
-        crew.stop()
+        executor.stop()
 
 
-def _take(kept: Store, run: Run, future: Future[Result]) -> None:
+def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult]) -> None:
     try:
         result = future.result()
-    except (Stopped, CancelledError, Unreachable):
+    except (CampaignStopped, CancelledError, ClusterUnreachable):
         raise
     except OSError as error:
         if error.errno in FULL:
             raise
-        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
-    except Exception as error:  # a worker that died, a result that could not be sent
-        result = Result(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+        result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
+    except Exception as error:  # a worker died, or a result could not be sent
+        result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     if result.outcome == "failed" and kept.full():
         raise DiskFull
     kept.add(replace(result, varied=dict(run.varied)))
 
 
-class Progress:
-    """How far it is, and how long it will take: by the time that the runs of this session took."""
+class CampaignProgress:
+    """Progress text: finished runs, and the remaining time, estimated from the runs of this session."""
 
-    def __init__(self, total: int, kept: Store) -> None:
+    def __init__(self, total: int, kept: CampaignStore) -> None:
         self._total, self._kept = total, kept
         self._before = len(kept.results)
         self._began = time.monotonic()
@@ -135,9 +138,10 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def write_table(kept: Store, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
-    """`campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of what is finished; the text. Raises
-    OSError."""
+def write_table(kept: CampaignStore, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
+    """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs.
+
+    Return the text. Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]
     found = table.document(app, planned, results, cells)
     text = table.as_text(found)

@@ -1,4 +1,4 @@
-"""The plan of a campaign: every run with all that tells it from the others, known before the first one begins."""
+"""Plan of a campaign: every run with its parameters, decided before the first run begins."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 
 @dataclass(frozen=True)
-class Run:
-    """One run. `varied` is what the user varies, by name; `params` of the program go into its bundle, `settings` of
-    the harness into a file, `flags` on its command line."""
+class PlannedRun:
+    """One run.
+
+    `varied`: the varied values, by name. Of these, `params` of the program go into its bundle, `settings` of the
+    harness into a file, and `flags` on its command line."""
 
     number: int
     varied: Mapping[str, str]
@@ -25,15 +27,16 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Return the name of the run's folder."""
         return f"{self.number:04d}"
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a campaign is made of. `bundle` is the digest of the bundle as it is built without varied params, `verdict`
-    that of the script that judges runs, "" without one; `fixed` are flags of every run; `what`, what they
-    are made for."""
+class CampaignPlan:
+    """Identity of a campaign.
+
+    `bundle`: digest of the bundle built without varied params; `verdict`: digest of the script that judges runs, ""
+    without one; `fixed`: flags of every run; `what`: the purpose of the runs."""
 
     app: str
     bundle: str
@@ -44,22 +47,22 @@ class Plan:
     what: str = CAMPAIGN
 
     def json(self) -> dict[str, Any]:
-        """As it is stored."""
+        """Return the plan in its stored form."""
         return {"format": FORMAT, **asdict(self), "fixed": list(self.fixed), "vary": list(self.vary)}
 
 
-def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[Run]:
-    """The runs of a plan. `settings` are the names that the harness has settings for. Raises BadVary."""
+def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[PlannedRun]:
+    """Return the runs of a plan. `settings` are the names of the harness' settings. Raises BadVary."""
     found = []
     for number, own in enumerate(vary.values(varied, count)):
         params = {n.removeprefix(vary.PARAM): v for n, v in own.items() if n.startswith(vary.PARAM)}
         of_harness = {n: v for n, v in own.items() if n in settings}
         flags = {n: v for n, v in own.items() if not n.startswith(vary.PARAM) and n not in of_harness}
-        found.append(Run(number, own, params, of_harness, flags))
+        found.append(PlannedRun(number, own, params, of_harness, flags))
     return found
 
 
-# What a difference in the stored plan's fields means to a user.
+# Message to the user if a field of the stored plan differs.
 _CHANGED = {
     "app": "the program is another",
     "bundle": "the program, the fleet file or koordgen has changed since",
@@ -71,13 +74,13 @@ _CHANGED = {
 
 
 def made_for(stored: Mapping[str, Any]) -> str:
-    """What the runs of a stored plan are made for."""
+    """Return the purpose of the runs of a stored plan."""
     what = stored.get("what")
     return what if what in (VALIDATION, PROBES) else CAMPAIGN
 
 
-def difference(stored: Mapping[str, Any], wanted: Plan) -> str:
-    """Why a stored plan is not the wanted one; "" when it is."""
+def difference(stored: Mapping[str, Any], wanted: CampaignPlan) -> str:
+    """Return why a stored plan differs from the wanted one; "" if it does not."""
     if stored.get("format") != FORMAT:
         return f"its plan has not the format {FORMAT}"
     asked = wanted.json()

@@ -1,4 +1,4 @@
-"""Pictures of a campaign: each varied value against how the runs went, and the histogram of mission times."""
+"""Plots of a campaign: results of runs against each varied value, and a histogram of mission times."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,8 +17,10 @@ COLOURS = {"held": "#2a7f3f", "violated": "#c0392b"}
 MARKS = {"held": "o", "violated": "X"}
 
 
-def draw(results: Sequence[Result], folder: Path) -> list[Path]:
-    """A picture for each varied name and one of mission times; none of runs that did not run. Raises OSError."""
+def draw(results: Sequence[RunResult], folder: Path) -> list[Path]:
+    """Draw a picture for each varied name and one of mission times; none if no run was executed.
+
+    Raises OSError."""
     ran = [r for r in results if r.outcome in COLOURS]
     if not ran:
         return []
@@ -28,7 +30,7 @@ def draw(results: Sequence[Result], folder: Path) -> list[Path]:
     return [*pictures, _histogram(ran, folder / "mission.png")]
 
 
-def _against(name: str, ran: Sequence[Result], path: Path) -> Path:
+def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 6), layout="constrained")
@@ -61,7 +63,7 @@ def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], value
 
 
 def _places(words: Sequence[str]) -> list[float]:
-    """Numbers stand where they are, words beside one another in their order."""
+    """Return positions on an axis: numbers at their value, words side by side in sorted order."""
     if all(map(_numeric, words)):
         return [float(word) for word in words]
     order = {word: float(k) for k, word in enumerate(sorted(set(words)))}
@@ -75,7 +77,7 @@ def _numeric(word: str) -> bool:
         return False
 
 
-def _histogram(ran: Sequence[Result], path: Path) -> Path:
+def _histogram(ran: Sequence[RunResult], path: Path) -> Path:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 

@@ -1,4 +1,4 @@
-"""What came of a campaign: for programs, for spreadsheets and for people."""
+"""Results of a campaign as JSON, as CSV and as text."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
-Z = 1.959964  # of the normal distribution: 95 % lie within
+Z = 1.959964  # half width of the interval that holds 95 % of the standard normal distribution
 MOST_REASONS = 5
 
 
 def wilson(failures: int, runs: int) -> tuple[float, float]:
-    """The 95 % confidence interval of a failure rate (E. B. Wilson, "Probable Inference, the Law of Succession, and
-    Statistical Inference", 1927)."""
+    """Return the 95 % confidence interval of a failure rate.
+
+    E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", 1927."""
     if runs == 0:
         return 0.0, 1.0
     rate, share = failures / runs, Z * Z / runs
@@ -29,7 +30,7 @@ def wilson(failures: int, runs: int) -> tuple[float, float]:
 
 
 def spread(values: Iterable[float | None]) -> dict[str, float] | None:
-    """Mean, median, smallest and greatest; None of nothing."""
+    """Return mean, median, smallest and greatest value; None if there is no value."""
     found = [v for v in values if v is not None]
     if not found:
         return None
@@ -39,9 +40,10 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
     return {name: round(value, 4) for name, value in named.items()}
 
 
-def counted(results: Sequence[Result]) -> dict[str, Any]:
-    """How runs ended, and the figures of those that ran. Mission time is that of runs that held: one that a violation
-    ended says nothing of it."""
+def counted(results: Sequence[RunResult]) -> dict[str, Any]:
+    """Return the numbers of runs by outcome, and statistics of executed runs.
+
+    Mission time is that of runs that held: a run that a violation ended has no meaningful mission time."""
     held = [r for r in results if r.outcome == "held"]
     violated = [r for r in results if r.outcome == "violated"]
     ran = [*held, *violated]
@@ -60,9 +62,9 @@ def counted(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def reasons(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """The kinds of violations and of what kept runs from running, the most frequent first, each with its first run."""
-    found: dict[str, list[Result]] = {}
+def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
+    """Return the kinds of violations and failures, the most frequent first, each with its first run."""
+    found: dict[str, list[RunResult]] = {}
     for r in results:
         if r.outcome != "held":
             found.setdefault(r.what or ("did not run" if r.outcome == "failed" else "violated"), []).append(r)
@@ -72,8 +74,10 @@ def reasons(results: Sequence[Result]) -> list[dict[str, Any]]:
     ]
 
 
-def document(app: str, planned: int, results: Sequence[Result], cells: Sequence[Mapping[str, str]]) -> dict[str, Any]:
-    """`campaign.json`. `cells` are the combinations of the lists that were varied."""
+def document(
+    app: str, planned: int, results: Sequence[RunResult], cells: Sequence[Mapping[str, str]]
+) -> dict[str, Any]:
+    """Return `campaign.json`. `cells` are the combinations of the varied lists."""
     parted = [
         {"varied": dict(cell), **counted([r for r in results if all(r.varied.get(k) == v for k, v in cell.items())])}
         for cell in cells
@@ -88,8 +92,8 @@ def document(app: str, planned: int, results: Sequence[Result], cells: Sequence[
     }
 
 
-def as_csv(results: Sequence[Result]) -> str:
-    """`campaign.csv`: a row for each run."""
+def as_csv(results: Sequence[RunResult]) -> str:
+    """Return `campaign.csv`, with a row for each run."""
     varied = dict.fromkeys(name for r in results for name in r.varied)
     figures = dict.fromkeys(name for r in results for name in r.figures)
     held = io.StringIO()
@@ -107,7 +111,7 @@ _ROWS = {"mission": "mission time, s", "separation": "closest, m", "late_rounds"
 
 
 def as_text(found: Mapping[str, Any]) -> str:
-    """The table for people, of a `document`."""
+    """Return the table as text, from a `document`."""
     lines = [f"{found['app']}: {_ends(found, found['planned'])}", ""]
     names = [n for n in found if n in _ROWS or n.startswith("figure ")]
     rows: list[tuple[str, ...]] = [("", "mean", "median", "min", "max")]

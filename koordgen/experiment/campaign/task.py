@@ -1,6 +1,6 @@
-"""One run, wherever it is executed: the bundle's own command, its summary, and the verdict of the user's script.
+"""Execution of one run on any host: the bundle's command, its summary, the user's verdict.
 
-This file is also what a worker of a cluster runs, so it stands alone.
+Workers of a cluster run this file, too, so it depends on little else.
 """
 
 from __future__ import annotations
@@ -16,35 +16,39 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 HELD, VIOLATED = 0, 3  # exit statuses of a bundle
-POLL = 0.05  # seconds
-PATIENCE = 10.0  # seconds from asking a run to end until it is killed
-MOST_SHOWN = 300  # characters of a reason
+POLL = 0.05  # seconds between two checks for a stop
+PATIENCE = 10.0  # seconds from the request to end until a run is killed
+MOST_SHOWN = 300  # longest reason in characters
 
 
-class Stopped(Exception):
-    """The campaign ends; the run was ended with it and counts for nothing."""
+class CampaignStopped(Exception):
+    """The campaign was stopped; its running run was ended and does not count."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be run. `flags` are the bundle's own; `settings` of its harness are laid over its scenario's;
-    `verdict` is a script that gets the run's folder, "" without one."""
+    """One run to execute.
+
+    `flags` are the bundle's own; `settings` of its harness override the scenario's; `verdict`: a script that gets the
+    run's folder, "" without one."""
 
     number: int
     varied: Mapping[str, str]
     flags: tuple[str, ...]
     settings: Mapping[str, Any]
     verdict: str
-    gentle: bool  # leave the computer to others
-    scenario: str = ""  # what goes wrong in the run, as JSON; "" when nothing does
+    gentle: bool  # run with low priority
+    scenario: str = ""  # scenario with faults, as JSON; "" without one
 
 
-def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> Result:
-    """Run it and judge it. `folder` gets what the run writes, and beside it stand its settings and its scenario. Raises
-    Stopped, OSError."""
+def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> RunResult:
+    """Execute and judge a run.
+
+    The run writes into `folder`; its settings and its scenario are stored beside it. Raises CampaignStopped,
+    OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
     if job.settings:
@@ -55,18 +59,19 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
         scenario.write_text(job.scenario, encoding="utf-8")
         command.append(f"--scenario={scenario}")
     began = time.monotonic()
-    status, told = watched(_gently(command) if job.gentle else command, stopped)
+    status, told = run_command(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
     if status not in (HELD, VIOLATED):
-        return Result(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
+        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
     result = _summarised(job, status, _summary(folder / "summary.json"), wall)
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
 
 
-def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
-    """Run a command to its end: its status, and what it said. It is asked to end when the campaign does. Raises
-    Stopped."""
-    # In a group of its own: a terminal's Ctrl-C is ours to pass on.
+def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
+    """Run a command to its end.
+
+    Return its status and its output. It is ended if the campaign is stopped. Raises CampaignStopped."""
+    # The child has its own process group, so that this process decides whether it gets a terminal's Ctrl-C.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
     ) as child:
@@ -77,12 +82,12 @@ def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
                 if not stopped():
                     continue
                 _end(child)
-                raise Stopped from None
+                raise CampaignStopped from None
             return child.returncode, told.decode("utf-8", "replace")
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """Twice: a run that is asked once brings its robots to rest, and writes a report."""
+    """End a run with two requests: after the first one it would stop its robots and write a report."""
     for _ in range(2):
         child.terminate()
         try:
@@ -117,11 +122,11 @@ def _summary(path: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> Result:
+def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> RunResult:
     violations = summary.get("violations") or [{}]
     separation = (summary.get("min_separation") or {}).get("distance")
     late = [robot.get("late_rounds", 0) for robot in summary.get("robots", [])]
-    return Result(
+    return RunResult(
         job.number,
         dict(job.varied),
         "held" if status == HELD else "violated",
@@ -134,10 +139,12 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
     )
 
 
-def _judged(result: Result, script: str, folder: Path, stopped: Callable[[], bool]) -> Result:
-    """The script's status is 0, or the run is violated and its last line says why; numbers of a last line that is a
-    JSON object are figures of the run."""
-    status, told = watched([sys.executable, script, str(folder)], stopped)
+def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], bool]) -> RunResult:
+    """Judge a run by the user's script.
+
+    If its status is not 0, the run is violated and the last line of its output is the reason. If the last line is a
+    JSON object, its numbers are figures of the run."""
+    status, told = run_command([sys.executable, script, str(folder)], stopped)
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None
     if figures is not None:

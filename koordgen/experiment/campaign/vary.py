@@ -1,9 +1,10 @@
-"""What varies from run to run: `seed`, `seed=1:70`, `loss=0:0.3`, `delay=0,0.02,0.05`, `param.eps=0.5:0.9`.
+"""Variation from run to run, as in `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`, `param.eps=0.5:0.9`.
 
-Grids make cells, one for each combination of their values; the runs go round the cells. The runs of all cells with one
-turn have the same seed and the same drawn values, so cells are compared in pairs. Values of ranges are drawn evenly, by
-multiples of the square roots of primes (R. D. Richtmyer, "The Evaluation of Definite Integrals, and a Quasi-Monte-Carlo
-Method", 1951): each beginning of the campaign covers its ranges about as evenly as the whole.
+Lists of values span cells, one for each combination of their values. Runs go through the cells in turn; one pass
+through all cells is a turn. The runs of one turn have the same seed and the same drawn values, so that cells can be
+compared in pairs. Values of ranges are multiples of square roots of primes (R. D. Richtmyer, "The Evaluation of
+Definite Integrals, and a Quasi-Monte-Carlo Method", 1951): every initial part of a campaign covers its ranges about as
+evenly as the whole.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
 
 
 class BadVary(Exception):
-    """What is not understood; the message quotes it."""
+    """An argument of `--vary` is wrong; the message quotes it."""
 
 
 @dataclass(frozen=True)
-class Grid:
-    """One of these values, as they were written."""
+class ValueList:
+    """A list of values, as they were written."""
 
     name: str
     values: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Range:
+class NumberRange:
     """Any number from `lo` to `hi`."""
 
     name: str
@@ -43,18 +44,18 @@ class Range:
 
 @dataclass(frozen=True)
 class Seeds:
-    """Another seed with each turn, from `first` on; `last` bounds how many turns there can be."""
+    """A new seed in each turn, beginning with `first`; `last` limits the number of turns."""
 
     first: int
     last: int | None = None
     name: str = SEED
 
 
-Varied = Grid | Range | Seeds
+Varied = ValueList | NumberRange | Seeds
 
 
 def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
-    """What several `--vary` say together. Raises BadVary."""
+    """Parse the arguments of all `--vary`. Raises BadVary."""
     found: list[Varied] = []
     for text in texts:
         found += [_one(*item) for item in _items(text)]
@@ -62,16 +63,17 @@ def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
     for name in names:
         if names.count(name) > 1:
             raise BadVary(f"{name} is varied twice")
-    if math.prod(len(v.values) for v in found if isinstance(v, Grid)) > MOST_CELLS:
+    if math.prod(len(v.values) for v in found if isinstance(v, ValueList)) > MOST_CELLS:
         raise BadVary(f"the lists have more than {MOST_CELLS} combinations")
-    if sum(isinstance(v, Range) for v in found) > len(PRIMES):
+    if sum(isinstance(v, NumberRange) for v in found) > len(PRIMES):
         raise BadVary(f"more than {len(PRIMES)} ranges")
     return tuple(found)
 
 
 def _items(text: str) -> list[tuple[str, list[str]]]:
-    """`seed,loss=0,0.1,delay=0:1` -> [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])]: what has no `=` goes
-    on with the list before it, but for `seed`."""
+    """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])].
+
+    An item without `=`, except `seed`, continues the list before it."""
     items: list[tuple[str, list[str]]] = []
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
@@ -93,7 +95,7 @@ def _one(name: str, values: list[str]) -> Varied:
         if name == SEED:
             for value in values:
                 _whole(name, value)
-        return Grid(name, tuple(values))
+        return ValueList(name, tuple(values))
     low, _, high = values[0].partition(":")
     if name == SEED:
         first, last = _whole(name, low), _whole(name, high)
@@ -103,7 +105,7 @@ def _one(name: str, values: list[str]) -> Varied:
     lo, hi = _number(name, low), _number(name, high)
     if not lo < hi:
         raise BadVary(f"{name}={values[0]}: a range goes from a smaller to a greater number")
-    return Range(name, lo, hi)
+    return NumberRange(name, lo, hi)
 
 
 def _number(name: str, text: str) -> float:
@@ -124,28 +126,30 @@ def _whole(name: str, text: str) -> int:
 
 
 def natural(varied: Sequence[Varied]) -> int | None:
-    """How many runs there are when nobody says it: every combination once, with every seed. None: as many as one
-    likes."""
+    """Return the default number of runs: every combination once, with every seed.
+
+    None if there is no natural number."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
-    if any(isinstance(v, Range) for v in varied) or (seeds and seeds.last is None):
+    if any(isinstance(v, NumberRange) for v in varied) or (seeds and seeds.last is None):
         return None
     turns = seeds.last - seeds.first + 1 if seeds and seeds.last is not None else 1
     return turns * len(cells(varied))
 
 
 def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
-    """The combinations of the grids' values; one, without any, when there is no grid."""
-    grids = [v for v in varied if isinstance(v, Grid)]
+    """Return the combinations of the lists' values; a single empty one if there is no list."""
+    grids = [v for v in varied if isinstance(v, ValueList)]
     return [
         dict(zip([g.name for g in grids], values, strict=True)) for values in product(*[grid.values for grid in grids])
     ]
 
 
 def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
-    """For each run what its varied names are, as written on a command line, in the order of `varied`. Raises BadVary
-    when the seeds do not suffice."""
+    """Return for each run its varied values by name, as on a command line, in the order of `varied`.
+
+    Raises BadVary if there are too few seeds."""
     combinations = cells(varied)
-    ranges = [v for v in varied if isinstance(v, Range)]
+    ranges = [v for v in varied if isinstance(v, NumberRange)]
     steps = [math.sqrt(prime) for prime in PRIMES]
     starts = [Random(f"campaign/{v.name}").random() for v in ranges]
     result = []

@@ -1,4 +1,4 @@
-"""Validation: a program's port assumptions against simulated platforms.
+"""Validation: checks a program's port assumptions against simulated platforms.
 
 Owns: samples, windows, verdicts with bounds, suggestions, reachsets.
 Offers: `samples`, `table`, `reach`.

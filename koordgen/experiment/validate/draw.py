@@ -1,4 +1,4 @@
-"""Pictures of reachsets: from above, and along the offset over time, one platform beside the other at one scale."""
+"""Pictures of reachsets: from above, and over time, all platforms side by side at one scale."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from koordgen.experiment.validate.tube import Reachset, above
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito, Color Universal Design (2008): told apart by those who see few colours, and darker where it matters.
+# Okabe and Ito, Color Universal Design (2008): distinguishable with colour blindness; important parts are darker.
 TUBE, EDGE, WAY, START, GOAL = "#CFE5F3", "#0072B2", "#444444", "#009E73", "#D55E00"
 DASHED = (0, (4, 3))
-INCHES = 5.2  # a column is wide
-MARGIN = 0.06  # of the picture's extent
+INCHES = 5.2  # width of a column
+MARGIN = 0.06  # part of the picture's extent
 
 
-def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
-    """One column for each, above x and y, below the way along the offset over time; all with the same scales. Raises
-    ValueError without any, OSError."""
+def draw_reachsets(reachsets: Sequence[Reachset], file: Path) -> Path:
+    """Draw one column per reachset, all with the same scales.
+
+    Above are x and y, below is the position along the offset over time. Raises ValueError without any reachset,
+    OSError."""
     from matplotlib.figure import Figure
 
     if not reachsets:
@@ -59,7 +61,7 @@ def _title(found: Reachset) -> str:
 
 
 def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The corners in x and y of what all have in them."""
+    """Return the lower and upper corner in x and y of everything that is drawn."""
     every = np.vstack([np.vstack([_corners(f).reshape(-1, 2), np.zeros(2), f.offset[:2]]) for f in reachsets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = MARGIN * float((high - low).max())
@@ -67,7 +69,7 @@ def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray
 
 
 def _corners(found: Reachset) -> NDArray[np.float64]:
-    """Of each box, seen from above: (J, 4, 2)."""
+    """Return the corners of each box seen from above: (J, 4, 2)."""
     u, left = (axis[:2] for axis in above(found.offset))
     return found.ahead[:, [0, 1, 1, 0], None] * u + found.aside[:, [0, 0, 1, 1], None] * left
 
@@ -77,7 +79,7 @@ def _from_above(axes: Axes, found: Reachset) -> None:
     from matplotlib.patches import Circle, Polygon, Rectangle
 
     boxes = [Polygon(corners) for corners in _corners(found)]
-    # The edges of all first: what is left of them below the faces is the outline of the union.
+    # Edges are drawn below all faces, so that only the outline of the union remains visible.
     axes.add_collection(PatchCollection(boxes, facecolor=EDGE, edgecolor=EDGE, linewidth=2.0, zorder=1))
     axes.add_collection(PatchCollection(boxes, facecolor=TUBE, edgecolor="none", linewidth=0, zorder=2))
     for k, way in enumerate(found.ways):

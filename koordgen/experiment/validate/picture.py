@@ -1,4 +1,4 @@
-"""The picture of a validation: how far outside the box between place and target bodies were, window by window."""
+"""Picture of a validation: distances of bodies from their box, window by window."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from koordgen.experiment.validate.breach import Breach, Kind
-from koordgen.experiment.validate.samples import Sample
+from koordgen.experiment.validate.breach import BoxBreach, Kind
+from koordgen.experiment.validate.samples import RunSample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS: dict[Kind, str] = {"overshoot": "#c0392b", "across": "#2471a3", "away": "#8e44ad", "drift": "#909497"}
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEAST = 1e-4  # metres: what is less is drawn there
+LEAST = 1e-4  # metres; smaller distances are drawn here
 BINS = 40
 
 
-def draw(samples: Sequence[Sample], title: str, path: Path) -> bool:
-    """A row for each platform: on the left every window by when it began, on the right how many reach how far, and the
-    farthest of each run. False, and no picture, where no run says where bodies went. Raises OSError."""
+def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
+    """Draw a row for each platform. Return whether there was anything to draw.
+
+    On the left is every window by its begin, on the right a histogram of distances with the farthest of each run.
+    False, without a picture, if no run recorded positions. Raises OSError."""
     from matplotlib.figure import Figure
 
     platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []
@@ -39,11 +41,11 @@ def draw(samples: Sequence[Sample], title: str, path: Path) -> bool:
     return True
 
 
-def _moved(samples: Sequence[Sample]) -> bool:
+def _moved(samples: Sequence[RunSample]) -> bool:
     return any(sample.reach for sample in samples)
 
 
-def _said(own: Sequence[Sequence[Breach]]) -> str:
+def _said(own: Sequence[Sequence[BoxBreach]]) -> str:
     distances = [b.distance for run in own for b in run]
     if not distances:
         return "never outside"
@@ -51,7 +53,7 @@ def _said(own: Sequence[Sequence[Breach]]) -> str:
     return f"{len(distances)} windows outside in {runs} of {len(own)} runs, at most {max(distances):.3f} m"
 
 
-def _over_time(axes: Axes, own: Sequence[Sequence[Breach]], title: str) -> None:
+def _over_time(axes: Axes, own: Sequence[Sequence[BoxBreach]], title: str) -> None:
     for kind in KINDS:
         found = [b for run in own for b in run if b.kind == kind]
         if found:
@@ -66,7 +68,7 @@ def _over_time(axes: Axes, own: Sequence[Sequence[Breach]], title: str) -> None:
     axes.grid(alpha=0.3)
 
 
-def _counted(axes: Axes, own: Sequence[Sequence[Breach]]) -> None:
+def _counted(axes: Axes, own: Sequence[Sequence[BoxBreach]]) -> None:
     drawn = [kind for kind in KINDS if any(b.kind == kind for run in own for b in run)]
     values = [[max(b.distance, LEAST) for run in own for b in run if b.kind == kind] for kind in drawn]
     if drawn:

@@ -1,8 +1,8 @@
-"""Probes: runs in which robots of one platform, far apart, are sent from drawn starts to a target at a given offset.
+"""Probes: runs in which robots of one platform go from random starts to one relative target.
 
-A small Koord program and a fleet are written for it, built by the ordinary pipeline and run in lockstep as a campaign's
-runs are. Frames: local ENU, metres; a sample's own frame has its origin at the nominal start, so that the target is at
-the offset and the start within `Start.radius` of the origin. There is nothing else in a probe's world.
+A small Koord program and a fleet file are generated, built by the ordinary pipeline and run in lockstep like the runs
+of a campaign. Frames: local ENU, metres. A sample's own frame has its origin at the nominal start, so the target is at
+the offset and the start within `Start.radius` of the origin. The world of a probe contains nothing else.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from koordgen.build.bundle.drivers import find
 from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import plan_file, read_fleet
 from koordgen.experiment.campaign import drive, store
-from koordgen.experiment.campaign.crew import Crew
-from koordgen.experiment.campaign.plan import PROBES, Plan, Run
+from koordgen.experiment.campaign.executor import Executor
+from koordgen.experiment.campaign.plan import PROBES, CampaignPlan, PlannedRun
 from koordgen.experiment.campaign.task import Job
 from koordgen.fleet import manifest
 from koordgen.fleet.file import own_classes
@@ -33,11 +33,11 @@ from koordgen.fleet.manifest import Target
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-RATE = 240  # poses a second: every step of the world
-STATE = 0.05  # seconds before and after the start over which its velocity is taken
-MOST_ROBOTS = 100  # of one probe's run
-KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # of the user's fleet file, as they stand there
-WEATHER = ("floor_friction", "wind")  # of its world
+RATE = 240  # poses a second, one for every step of the world
+STATE = 0.05  # seconds before and after the start over which its velocity is averaged
+MOST_ROBOTS = 100  # most robots in one run
+KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys that are copied from the user's fleet file
+WEATHER = ("floor_friction", "wind")  # keys that are copied from its world
 PROGRAM = """\
 # A probe: each robot runs up towards a first target, and then gets the one on its way to which it is looked at.
 
@@ -72,7 +72,7 @@ Go:
 
 
 class BadProbe(Exception):
-    """What cannot be probed, or did not run; `help` says the way out."""
+    """A probe is impossible, or did not run; `help` names a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -81,9 +81,11 @@ class BadProbe(Exception):
 
 @dataclass(frozen=True)
 class Start:
-    """The set of starts. When the target comes, the robot is within `radius` (m, in x and y) of the nominal start,
-    evenly, and for a time drawn from `after` (s) it has been on its way to a first target, `run_up` m away in a
-    direction that is within `turn` (rad) of the offset's; with `run_up` 0 it stands."""
+    """Set of starts.
+
+    When the target is commanded, the robot is within `radius` (m, in x and y, uniform) of the nominal start. For a
+    random time in the interval `after` (s) it has moved to a first target, `run_up` m away in a direction within `turn`
+    (rad) of the offset's. If `run_up` is 0, it stands."""
 
     radius: float = 0.1
     turn: float = 0.1
@@ -92,9 +94,11 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Platform:
-    """Robots of one kind in a fleet file: same target, settings and simulation. `robot` is what the file says of one,
-    `common` what it says of all that matters here, `beside` the user's own classes by their path in bundles."""
+class ProbedPlatform:
+    """Robots of one kind in a fleet file: same target, settings and simulation.
+
+    `robot`: its entry in the file; `common`: entries for all robots; `beside`: the user's own classes by their path in
+    bundles."""
 
     name: str
     target: str
@@ -103,15 +107,17 @@ class Platform:
     robot: Mapping[str, Any]
     common: Mapping[str, Any]
     beside: Mapping[str, Path]
-    height: tuple[float, float]  # of the geofence: its lowest and its highest z
+    height: tuple[float, float]  # lowest and highest z of the geofence
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What is sampled: `count` robots, `robots` of them in a run, are looked at for `seconds` on their way to a target
-    at `offset` (m, ENU)."""
+    """Request for samples of one platform's motion.
 
-    platform: Platform
+    `count` robots, `robots` of them in each run, are observed for `seconds` on their path to a target at `offset` (m,
+    ENU)."""
+
+    platform: ProbedPlatform
     offset: Vector
     count: int
     seconds: float
@@ -121,12 +127,12 @@ class Probe:
 
     @property
     def parts(self) -> int:
-        """Runs that it takes."""
+        """Return the number of runs."""
         return math.ceil(self.count / self.robots)
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Of each of its runs."""
+        """Return the flags of each run."""
         passed = math.ceil(self.start.after[1] / self.platform.delta) + 2
         duration = passed * self.platform.delta + self.seconds + STATE
         return (f"--duration={duration:g}", "--lockstep", "--no-report")
@@ -134,8 +140,10 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What was seen of a probe: `times` (T,) s since the target came; `positions` (n, T, 3) m in the samples' frame;
-    `starts` (n, 7): position (m), velocity (m/s, ENU) and yaw (rad)."""
+    """Samples of a probe.
+
+    `times` (T,): s since the target was commanded; `positions` (n, T, 3): m in the samples' frame; `starts` (n, 7):
+    position (m), velocity (m/s, ENU) and yaw (rad)."""
 
     probe: Probe
     times: Array
@@ -147,9 +155,10 @@ def _harness() -> Target:
     return next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
 
 
-def platforms(fleet_file: str) -> dict[str, Platform]:
-    """The platforms of a fleet file by name: target and fidelity, and where several differ in settings alone, the first
-    robot of each. Raises Rejected, ManifestError."""
+def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
+    """Return the platforms of a fleet file by name: target and fidelity.
+
+    If several differ in settings alone, the first robot of each. Raises Rejected, ManifestError."""
     targets = {name: manifest.load(name) for name in manifest.available()}
     harness = _harness()
     fleet, _ = read_fleet(fleet_file, targets, None)
@@ -159,7 +168,7 @@ def platforms(fleet_file: str) -> dict[str, Platform]:
     common[harness.name] = dict(raw.get(harness.name) or {})
     beside = {path: find(path, [Path(fleet_file).parent]) for path in own_classes(fleet, targets)}
     heights = fleet.geofence["lo"][2], fleet.geofence["hi"][2]
-    kinds: dict[str, list[Platform]] = {}
+    kinds: dict[str, list[ProbedPlatform]] = {}
     seen: list[tuple[str, Any, Any]] = []
     for robot, entry in zip(fleet.robots, raw["robots"], strict=True):
         if (robot.target, robot.settings, robot.harness) in seen:
@@ -168,7 +177,7 @@ def platforms(fleet_file: str) -> dict[str, Platform]:
         own = {key: entry[key] for key in ("target", "settings", harness.name) if entry.get(key)}
         own["start"] = {"position": list(robot.start["position"])}
         fidelity = robot.harness.get(harness.name, {}).get("fidelity") or fleet.harness[harness.name]["fidelity"]
-        found = Platform(robot.name, robot.target, fidelity, fleet.delta, own, common, beside, heights)
+        found = ProbedPlatform(robot.name, robot.target, fidelity, fleet.delta, own, common, beside, heights)
         kinds.setdefault(f"{robot.target} {fidelity}", []).append(found)
     several = {f"{name} ({one.name})": one for name, kind in kinds.items() if len(kind) > 1 for one in kind}
     named = {name: kind[0] for name, kind in kinds.items() if len(kind) == 1} | several
@@ -176,20 +185,22 @@ def platforms(fleet_file: str) -> dict[str, Platform]:
 
 
 def check(probe: Probe) -> None:
-    """Raises BadProbe for what cannot be probed."""
+    """Check that a probe is possible. Raises BadProbe."""
     platform = probe.platform
     target = manifest.load(platform.target)
     program_of(target)
     if platform.robot.get(_harness().name, {}).get("autopilot") == "external":
-        raise BadProbe(f"{platform.name} is flown by an external autopilot, which knows real time only")
+        raise BadProbe(f"{platform.name} is flown by an external autopilot, which runs in real time only")
     if not 1 <= probe.robots <= MOST_ROBOTS:
-        raise BadProbe(f"{probe.robots} robots in a run; there may be 1 to {MOST_ROBOTS}")
+        raise BadProbe(f"{probe.robots} robots in a run; 1 to {MOST_ROBOTS} are allowed")
     if not any(probe.offset[:2]):
-        raise BadProbe(f"the offset {_told(probe.offset)} leads nowhere in x and y", "give another")
+        raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give another")
 
 
-def drawn(probe: Probe, part: int) -> dict[str, Any]:
-    """The fleet file of one of its runs, as plain values: all is drawn by the seed, the part and the robot."""
+def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
+    """Return the fleet file of one run as plain values.
+
+    The seed, the part and the robot determine all random values."""
     platform, start = probe.platform, probe.start
     apart = 2 * (math.hypot(*probe.offset[:2]) + start.run_up) + 6.0
     columns = math.ceil(math.sqrt(probe.robots))
@@ -223,17 +234,19 @@ def drawn(probe: Probe, part: int) -> dict[str, Any]:
 def program_of(target: manifest.Target) -> str:
     """Return the program that probes robots of a target. Raises BadProbe."""
     if target.goal is None:
-        raise BadProbe(f"target {target.name} offers no way to send a robot to a place")
+        raise BadProbe(f"target {target.name} has no port that sends a robot to a position")
     module, position, goal = target.goal
     return PROGRAM.format(module=module, position=position, goal=goal)
 
 
-def built(probe: Probe, part: int, folder: Path) -> None:
-    """Writes program and fleet and builds their bundle into `folder`. Raises Rejected, CannotWrite, OSError."""
+def build_probe(probe: Probe, part: int, folder: Path) -> None:
+    """Write program and fleet, and build their bundle into `folder`.
+
+    Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
     program, fleet = folder / "probe.koord", folder / "fleet.yaml"
     program.write_text(program_of(manifest.load(probe.platform.target)), encoding="utf-8")
-    fleet.write_text(yaml.safe_dump(drawn(probe, part), sort_keys=False), encoding="utf-8")
+    fleet.write_text(yaml.safe_dump(fleet_of(probe, part), sort_keys=False), encoding="utf-8")
     for path, file in probe.platform.beside.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(file, folder / path)
@@ -242,37 +255,39 @@ def built(probe: Probe, part: int, folder: Path) -> None:
     write({harness: bundles[harness]}, folder)
 
 
-def sampled(
+def take_samples(
     probes: Sequence[Probe],
-    crew: Crew,
+    executor: Executor,
     folder: Path,
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
-    """Carry all of their runs out in a new folder, as a campaign's. What a run left, some 10 MB, goes when its samples
-    are taken. Raises BadProbe for what cannot be probed or did not run, and what `drive.carry_out` raises."""
+    """Execute all runs in a new folder, as a campaign does.
+
+    The files of a run, some 10 MB, are deleted after its samples are taken. Raises BadProbe if a probe is impossible or
+    did not run, and what `drive.execute_runs` raises."""
     for probe in probes:
         check(probe)
-    runs: list[Run] = []
+    runs: list[PlannedRun] = []
     owner: dict[int, tuple[Probe, int]] = {}
     for index, probe in enumerate(probes):
         for part in range(probe.parts):
             told = {"platform": probe.platform.name, "offset": _told(probe.offset), "seed": str(probe.seed + part)}
             owner[len(runs)] = probe, part
-            runs.append(Run(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
+            runs.append(PlannedRun(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
 
     def build(params: Mapping[str, str], own: Path) -> None:
         index, _, part = params["probe"].partition("/")
-        built(probes[int(index)], int(part), own)
+        build_probe(probes[int(index)], int(part), own)
 
-    def job(run: Run) -> Job:
+    def job(run: PlannedRun) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
 
     varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
-    plan = Plan("probe", "", "", (), varied, len(runs), PROBES)
+    plan = CampaignPlan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
-        drive.carry_out(runs, kept, crew, bundles, job, tell, interrupted)
+        drive.execute_runs(runs, kept, executor, bundles, job, tell, interrupted)
         for result in kept.results.values():
             if result.outcome == "failed":
                 raise BadProbe(f"run {runs[result.run].name} of a probe did not run: {result.why}")
@@ -283,7 +298,7 @@ def _told(offset: Vector) -> str:
     return f"({', '.join(f'{v:g}' for v in offset)})"
 
 
-def _gathered(probe: Probe, runs: Sequence[Run], kept: store.Store) -> Samples:
+def _gathered(probe: Probe, runs: Sequence[PlannedRun], kept: store.CampaignStore) -> Samples:
     times = np.arange(round(probe.seconds * RATE) + 1) / RATE
     found: list[tuple[Array, Array]] = []
     for run in runs:
@@ -293,7 +308,7 @@ def _gathered(probe: Probe, runs: Sequence[Run], kept: store.Store) -> Samples:
 
 
 def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
-    """Each robot's way and start, of one run. Raises BadProbe, OSError."""
+    """Return each robot's path and start in one run. Raises BadProbe, OSError."""
     poses: dict[int, list[tuple[float, ...]]] = {}
     gone: dict[int, tuple[float, Sequence[float]]] = {}
     with trace.open("rb") as file:
@@ -303,7 +318,7 @@ def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
                 case {"kind": "pose", "t": t, "pid": pid, "position": [x, y, z], "yaw": yaw}:
                     poses.setdefault(pid, []).append((t, x, y, z, yaw))
                 case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": written} if written:
-                    gone[pid] = t, next(iter(written.values()))  # it has one actuator
+                    gone[pid] = t, next(iter(written.values()))  # the program has one actuator
     if missing := set(poses) - set(gone):
         why = f"{trace}: robot {min(missing)} never came to its second target"
         raise BadProbe(why, "look at the run's folder; its report is made by `koordgen report`")

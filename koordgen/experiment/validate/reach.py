@@ -1,4 +1,4 @@
-"""Reachsets as they are asked for: of platforms of a fleet file at one offset, side by side."""
+"""Reachsets of the platforms of a fleet file at one offset, side by side."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 
-from koordgen.experiment.campaign.crew import Crew
+from koordgen.experiment.campaign.executor import Executor
 from koordgen.experiment.campaign.store import replace
-from koordgen.experiment.validate.draw import drawn
-from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, sampled
+from koordgen.experiment.validate.draw import draw_reachsets
+from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, take_samples
 from koordgen.experiment.validate.statistics import needed
-from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compared, reached
+from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compare, reachset_of
 
 PICTURE, TABLE = "reachsets.png", "reachsets.txt"
-PARTS = 3  # of the samples: to learn of, to calibrate on, to check on
+PARTS = 3  # parts of the samples: for learning, for calibration, for the check
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What reachsets are asked for: a target at `offset` (m, ENU), and what is claimed of ways to it. `seconds` each
-    way is looked at; None: as long as a slow robot needs, at half a metre a second and 4 s to come to rest."""
+class ReachsetRequest:
+    """Request for reachsets: a target at `offset` (m, ENU), and the claim about paths to it.
+
+    `seconds`: observation of each path; None: enough for a slow robot at half a metre a second, and 4 s to stop."""
 
     offset: Vector
     epsilon: float = EPSILON
@@ -32,17 +33,18 @@ class Asked:
     seed: int = 0
     start: Start = field(default_factory=Start)
     seconds: float | None = None
-    robots: int = 16  # in one run; 1 where robots of a platform disturb one another
+    robots: int = 16  # robots in one run; 1 if robots of a platform disturb one another
 
     @property
     def lasts(self) -> float:
-        """Seconds."""
+        """Return the observation time of each path in seconds."""
         return round(4 + 2 * math.hypot(*self.offset), 1) if self.seconds is None else self.seconds
 
 
-def probes(fleet_file: str, names: Sequence[str], asked: Asked) -> list[Probe]:
-    """A probe for each platform of that name in the fleet file; none named: for all. Raises BadProbe, Rejected,
-    ManifestError."""
+def probes(fleet_file: str, names: Sequence[str], asked: ReachsetRequest) -> list[Probe]:
+    """Return a probe for each named platform of the fleet file, or for all if none is named.
+
+    Raises BadProbe, Rejected, ManifestError."""
     known = platforms(fleet_file)
     if unknown := [name for name in names if name not in known]:
         raise BadProbe(f"{fleet_file} has no platform {unknown[0]!r}", f"there are: {', '.join(known)}")
@@ -54,25 +56,29 @@ def probes(fleet_file: str, names: Sequence[str], asked: Asked) -> list[Probe]:
 def reachsets(
     fleet_file: str,
     names: Sequence[str],
-    asked: Asked,
-    crew: Crew,
+    asked: ReachsetRequest,
+    executor: Executor,
     folder: Path,
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Reachset]:
-    """One for each platform, in the order of `names`; their runs are carried out together, in a new folder, with the
-    same starts for all. Raises BadProbe, Rejected, ManifestError, and what `campaign.drive.carry_out` raises."""
-    found = sampled(probes(fleet_file, names, asked), crew, folder, tell, interrupted)
-    return [reached(samples, asked.epsilon, asked.gamma) for samples in found]
+    """Return one reachset per platform, in the order of `names`.
+
+    Their runs are executed together, in a new folder, with the same starts for all. Raises BadProbe, Rejected,
+    ManifestError, and what `campaign.drive.execute_runs` raises."""
+    found = take_samples(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
+    return [reachset_of(samples, asked.epsilon, asked.gamma) for samples in found]
 
 
 def comparisons(found: Sequence[Reachset]) -> list[Comparison]:
-    """Each two of them, of one offset."""
-    return [compared(a, b) for a, b in combinations(found, 2)]
+    """Return the comparison of each pair of reachsets, which have one offset."""
+    return [compare(a, b) for a, b in combinations(found, 2)]
 
 
-def written(found: Sequence[Reachset], folder: Path) -> list[Path]:
-    """A JSON file for each, their picture, and the table that compares them. Raises OSError."""
+def write_files(found: Sequence[Reachset], folder: Path) -> list[Path]:
+    """Write a JSON file for each reachset, their picture, and the table that compares them.
+
+    Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for one in found:
@@ -83,4 +89,4 @@ def written(found: Sequence[Reachset], folder: Path) -> list[Path]:
     if tables:
         replace(folder / TABLE, "\n".join(tables))
         files.append(folder / TABLE)
-    return [*files, drawn(found, folder / PICTURE)]
+    return [*files, draw_reachsets(found, folder / PICTURE)]

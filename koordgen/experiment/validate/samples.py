@@ -1,4 +1,4 @@
-"""What a run's `windows.jsonl` (targets/sim/judging/windows.py) says of it: a sample."""
+"""Sample: the content of one run's `windows.jsonl` (targets/sim/judging/windows.py)."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from koordgen.experiment.validate.breach import Breach, Row, kind
+from koordgen.experiment.validate.breach import BoxBreach, ConsecutiveBreaches, kind
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-FINISHED = ("completed", "stopped")  # how a mission ends that was seen to its end
+FINISHED = ("completed", "stopped")  # endings of a mission that was observed to its end
 HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 
 @dataclass(frozen=True)
-class Assumption:
-    """One of the program: its module and line, and its place among the run's."""
+class SampledAssumption:
+    """An assumption of the program: its module and line, and its index in the run's records."""
 
     index: int
     module: str
@@ -27,22 +27,26 @@ class Assumption:
 
 
 @dataclass
-class Seen:
-    """Of one assumption and robot in a run: windows by how they came out, when it was first violated (seconds since
-    round 1), and the breach in a violated window that went farthest."""
+class AssumptionObservation:
+    """Observation of one assumption on one robot in a run.
+
+    `windows`: numbers of windows by outcome; `first`: time of the first violation (seconds since round 1); `worst`: the
+    farthest breach in a violated window."""
 
     windows: Counter[str] = field(default_factory=Counter)
     first: float | None = None
-    worst: Breach | None = None
-    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind
-    farthest: dict[str, float] = field(default_factory=dict)  # metres outside in one window, by kind
-    together: dict[str, float] = field(default_factory=dict)  # and in windows one after the other
+    worst: BoxBreach | None = None
+    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind of breach
+    farthest: dict[str, float] = field(default_factory=dict)  # largest distance in one window (m), by kind
+    together: dict[str, float] = field(default_factory=dict)  # largest sum over consecutive windows (m), by kind
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A run. `platforms` and `names` by pid; `far` and `reach`, by pid, are how far from its target a body was at most:
-    at moments outside of the box, and at any moment (metres)."""
+class RunSample:
+    """One run.
+
+    `platforms` and `names` by pid. `far` and `reach`, by pid: largest distance of a body from its target (metres),
+    while it was outside of the box, and at any time."""
 
     run: int
     seed: int
@@ -50,24 +54,24 @@ class Sample:
     body: str
     names: tuple[str, ...]
     platforms: tuple[str, ...]
-    assumptions: tuple[Assumption, ...]
-    unchecked: tuple[tuple[int, str], ...]  # line, why
-    seen: Mapping[tuple[int, int], Seen]
-    breaches: tuple[Breach, ...]
+    assumptions: tuple[SampledAssumption, ...]
+    unchecked: tuple[tuple[int, str], ...]  # line and reason
+    seen: Mapping[tuple[int, int], AssumptionObservation]
+    breaches: tuple[BoxBreach, ...]
     far: Mapping[int, float]
     reach: Mapping[int, float]
 
     def robots(self, platform: str) -> list[int]:
-        """The pids of a platform."""
+        """Return the pids of a platform."""
         return [pid for pid, own in enumerate(self.platforms) if own == platform]
 
-    def of(self, assumption: int, platform: str) -> list[Seen]:
-        """What was seen of an assumption on a platform, by robot."""
+    def of(self, assumption: int, platform: str) -> list[AssumptionObservation]:
+        """Return the observations of an assumption on a platform, by robot."""
         return [self.seen[assumption, pid] for pid in self.robots(platform)]
 
 
-def read(folder: Path, run: int) -> Sample | None:
-    """The sample that a run's folder holds; None where the run did not come to its end. Raises OSError."""
+def read(folder: Path, run: int) -> RunSample | None:
+    """Read the sample in a run's folder; None if the run did not end regularly. Raises OSError."""
     try:
         with (folder / FILE).open(encoding="utf-8") as file:
             lines = [json.loads(line) for line in file]
@@ -76,21 +80,21 @@ def read(folder: Path, run: int) -> Sample | None:
         return _sample(run, lines[0], lines[1:-1], lines[-1]["end"])
     except FileNotFoundError:
         return None
-    except (ValueError, LookupError, TypeError):  # cut off, or not what a run writes
+    except (ValueError, LookupError, TypeError):  # cut off, or not written by a run
         return None
 
 
-def _sample(run: int, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], ended: str) -> Sample:
-    assumptions = tuple([Assumption(k, a["module"], a["line"]) for k, a in enumerate(head["assumptions"])])
+def _sample(run: int, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], ended: str) -> RunSample:
+    assumptions = tuple([SampledAssumption(k, a["module"], a["line"]) for k, a in enumerate(head["assumptions"])])
     robots = head["robots"]
-    seen = {(a.index, pid): Seen() for a in assumptions for pid in range(len(robots))}
-    breaches: list[Breach] = []
+    seen = {(a.index, pid): AssumptionObservation() for a in assumptions for pid in range(len(robots))}
+    breaches: list[BoxBreach] = []
     far: dict[int, float] = {}
     reach: dict[int, float] = {}
-    in_a_row: dict[int, Row] = {}
+    in_a_row: dict[int, ConsecutiveBreaches] = {}
     for row in rows:
         pid, at = row["pid"], round((row["round"] - 1) * head["delta"], 6)
-        breach = _breach(row, at, in_a_row.setdefault(pid, Row())) if "out" in row else None
+        breach = _breach(row, at, in_a_row.setdefault(pid, ConsecutiveBreaches())) if "out" in row else None
         if breach is None:
             in_a_row.pop(pid, None)
         else:
@@ -100,19 +104,19 @@ def _sample(run: int, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]
             reach[pid] = max(reach.get(pid, 0.0), row["reach"])
         for index, came in enumerate(row["came"]):
             _note(seen[index, pid], came, at, breach)
-    return Sample(
+    return RunSample(
         run, head["seed"], ended, head["body"], tuple(r["name"] for r in robots),
         tuple(r["platform"] for r in robots), assumptions, tuple((u["line"], u["why"]) for u in head["unchecked"]),
         seen, tuple(breaches), far, reach,
     )  # fmt: skip
 
 
-def _breach(row: Mapping[str, Any], at: float, before: Row) -> Breach:
+def _breach(row: Mapping[str, Any], at: float, before: ConsecutiveBreaches) -> BoxBreach:
     start, target, moving, out, then = (tuple(row[key]) for key in ("start", "target", "velocity", "out", "then"))
     return before.add(row["pid"], at, out, kind(start, target, moving, out, then))
 
 
-def _note(seen: Seen, came: str, at: float, breach: Breach | None) -> None:
+def _note(seen: AssumptionObservation, came: str, at: float, breach: BoxBreach | None) -> None:
     seen.windows[came] += 1
     if came != VIOLATED:
         return
@@ -125,9 +129,10 @@ def _note(seen: Seen, came: str, at: float, breach: Breach | None) -> None:
             seen.worst = breach
 
 
-def margin(samples: Iterable[Sample], platform: str, *, outside: bool) -> float:
-    """How far from its target (m) a robot of that platform was in any of the runs: at moments outside of the box, or
-    at all. 0 where there was none."""
+def margin(samples: Iterable[RunSample], platform: str, *, outside: bool) -> float:
+    """Return the largest distance (m) of a platform's robots from their target in any run.
+
+    If `outside`, only while the robot was outside of the box. 0 if there was no such time."""
     values = (
         (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
     )

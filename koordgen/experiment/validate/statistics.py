@@ -1,4 +1,4 @@
-"""How much so many independent samples tell."""
+"""Statistics of independent samples: their required number, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,30 +9,35 @@ HALVINGS = 60
 
 
 def needed(epsilon: float, gamma: float) -> int:
-    """How many independent samples, none of which is over a threshold, it takes to say with confidence 1 - gamma that
-    no more than a part epsilon of all that are to come is over it: the least n >= ln(1/gamma)/epsilon, because
-    (1 - epsilon)^n <= exp(-n epsilon) <= gamma. So of runs without a violation. Raises ValueError."""
+    """Return the number of samples below a threshold that show the claim of epsilon and gamma.
+
+    The samples are independent, and none exceeds the threshold. The claim: with confidence 1 - gamma at most a part
+    epsilon of all future samples exceeds it. The number is the least n >= ln(1/gamma)/epsilon, because (1 - epsilon)^n
+    <= exp(-n epsilon) <= gamma. The same holds for runs without a violation. Raises ValueError."""
     if not (0 < epsilon < 1 and 0 < gamma < 1):
         raise ValueError(f"epsilon {epsilon:g} and gamma {gamma:g} must be between 0 and 1")
     return math.ceil(math.log(1.0 / gamma) / epsilon)
 
 
-def shown(runs: int, gamma: float) -> float:
-    """The epsilon that so many runs without a violation show, with confidence 1 - gamma: (1 - epsilon)^runs = gamma."""
+def shown_epsilon(runs: int, gamma: float) -> float:
+    """Return the epsilon that `runs` runs without a violation show at confidence 1 - gamma.
+
+    It solves (1 - epsilon)^runs = gamma."""
     return 1.0 if runs < 1 else -math.expm1(math.log(gamma) / runs)
 
 
 def clopper_pearson(violated: int, runs: int, gamma: float) -> tuple[float, float]:
-    """The interval in which the probability of a violation lies with confidence 1 - gamma or more, whatever it is:
-    the probabilities with which neither so many violations or more, nor so many or fewer, are rarer than gamma/2
-    (Clopper and Pearson 1934). Of no runs, everything."""
+    """Return a confidence interval of the probability of a violation (Clopper and Pearson 1934).
+
+    It contains the probability with confidence 1 - gamma or more, whatever it is: its probabilities are those for which
+    neither this many violations or more, nor this many or fewer, are rarer than gamma/2. Without runs, it is [0, 1]."""
     low = 0.0 if not violated else _where(lambda p: 1.0 - _at_most(violated - 1, runs, p) < gamma / 2)
     high = 1.0 if violated == runs else _where(lambda p: _at_most(violated, runs, p) > gamma / 2)
     return low, high
 
 
 def _at_most(k: int, n: int, p: float) -> float:
-    """The probability of at most k out of n, each with probability p in (0, 1)."""
+    """Return the probability of at most k out of n, each with probability p in (0, 1)."""
     log_p, log_q = math.log(p), math.log1p(-p)
     return math.fsum(
         math.exp(math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) + i * log_p + (n - i) * log_q)
@@ -41,7 +46,7 @@ def _at_most(k: int, n: int, p: float) -> float:
 
 
 def _where(below: Callable[[float], bool]) -> float:
-    """The probability up to which a condition is true."""
+    """Return the probability up to which a condition is true, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (low + high) / 2

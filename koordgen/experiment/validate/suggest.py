@@ -1,4 +1,4 @@
-"""Weaker assumptions that the samples keep to, with margins learned of them, and what the prover makes of each."""
+"""Suggestions: weaker assumptions that all samples satisfy, and the verdicts with each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import shorten
 
-from koordgen.experiment.validate.samples import Sample, margin
+from koordgen.experiment.validate.samples import RunSample, margin
 from koordgen.lang.analyze.params import Value, with_params
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl
@@ -18,16 +18,17 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 from koordgen.verify.prove.report.show import suggestion as closing
 from koordgen.verify.prove.report.verdict import Question, prove
-from koordgen.verify.prove.smt.solve import Both, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-STEP = 0.01  # metres: margins are rounded up to it
-MOST_SAID = 140  # characters of a reason
+STEP = 0.01  # metres; margins are rounded up to multiples of it
+MOST_SAID = 140  # longest reason in characters
 
 
 @dataclass(frozen=True)
 class Proved:
-    """An invariant's verdict under some assumption; `closing` says with what more it would be PROVED, or why it is not;
-    "" where neither is known."""
+    """Verdict of an invariant under some assumption.
+
+    `closing`: what else would prove it, or why it is not proved; empty if neither is known."""
 
     invariant: str
     verdict: str
@@ -36,8 +37,9 @@ class Proved:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """An assumption in the place of another, `margin` metres by platform and for all of them, and what is then
-    proved."""
+    """An assumption that replaces another one.
+
+    Margins in metres, by platform and for all of them; `proved`: the verdicts with it."""
 
     module: str
     line: int
@@ -48,12 +50,12 @@ class Suggestion:
 
     @property
     def closes(self) -> bool:
-        """Whether every invariant is PROVED with it."""
+        """Return whether every invariant is PROVED with it."""
         return all(p.verdict == "PROVED" for p in self.proved)
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """The assumption at a line if it says nothing but where a body is on its way from `position` to `target`."""
+    """Return the assumption at a line if it only constrains the path from `position` to `target`."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -70,14 +72,16 @@ def suggestions(
     program: decl.Program,
     line: int,
     params: Mapping[str, Value],
-    samples: Sequence[Sample],
-    solver: Solver | Both,
+    samples: Sequence[RunSample],
+    solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
-    """In the place of the assumption at that line: its box or a ball about the target, and the ball alone. None where
-    it is about something else. Raises SolverMissing.
+    """Return weaker replacements of the assumption at a line.
 
-    A box that is inflated at its start drifts, step by step, and no invariant about places survives it: so what is
-    added lies about the target."""
+    They are its box or a ball about the target, and the ball alone. Empty if it is about something else. Raises
+    SolverMissing.
+
+    A box that is inflated around its start would drift, step by step, and break every invariant about positions. So the
+    margin is added around the target."""
     old = about_way(program, line)
     if old is None:
         return []
@@ -100,15 +104,15 @@ def _up(metres: float) -> float:
     return round(math.ceil(metres / STEP - 1e-9) * STEP, 6)
 
 
-def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | Both) -> list[Proved]:
-    """With the params as they are built: it is this fleet that was sampled."""
+def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | CrossCheck) -> list[Proved]:
+    """Prove the program with the params of the build, since this fleet was sampled."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
     found = prove(Question(program, None, fixed), solver)
     return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
 
 
 def _with(source: Source, span: Span, formula: str) -> decl.Program:
-    """The program whose text has that formula at that place."""
+    """Return the program with that formula at that place of its text."""
     lines = source.text.split("\n")
     first, last = lines[span.line - 1], lines[span.end_line - 1]
     whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"

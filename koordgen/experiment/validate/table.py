@@ -1,4 +1,4 @@
-"""What was found, for people (at most 120 columns wide where words are ours) and as data."""
+"""Result of a validation as text of at most 120 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from koordgen.experiment.validate.breach import TOLD
+from koordgen.experiment.validate.breach import EXPLANATIONS
 from koordgen.experiment.validate.suggest import Suggestion
-from koordgen.experiment.validate.verdict import Bound, Case, Verdict
+from koordgen.experiment.validate.verdict import AssumptionVerdict, Case, ProbabilityBound
 
 FORMAT = "koord-validation/1"
 WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 
 @dataclass(frozen=True)
-class Found:
-    """A validation: of which program and fleet, what its runs were, and what came of them. `texts` are the
-    assumptions as the program has them, by line; `unchecked` are lines that cannot be evaluated, with the reason;
-    `failed` says why runs did not come to an end, the first reason; `start_noise` is in metres and radians."""
+class ValidationReport:
+    """One validation: program and fleet, its runs, and its results.
+
+    `texts`: the assumptions as the program has them, by line; `unchecked`: lines that cannot be evaluated, with the
+    reason; `failed`: the first reason why runs did not end regularly; `start_noise` in metres and radians."""
 
     program: str
     fleet: str
-    bound: Bound
+    bound: ProbabilityBound
     samples: int
     finished: int
     seed: int
@@ -30,14 +31,14 @@ class Found:
     start_noise: float
     failed: str
     texts: Mapping[int, str]
-    verdicts: Sequence[Verdict]
+    verdicts: Sequence[AssumptionVerdict]
     unchecked: Sequence[tuple[int, str]]
     suggestions: Sequence[Suggestion]
     picture: str = ""
 
     @property
     def verdict(self) -> str:
-        """Of all together: the worst."""
+        """Return the worst of all verdicts."""
         said = {v.verdict for v in self.verdicts} | ({"INCONCLUSIVE"} if self.unchecked or not self.verdicts else set())
         return next(name for name in WORST if name in said)
 
@@ -45,8 +46,8 @@ class Found:
 Commands = Callable[[Case], tuple[str, str]]
 
 
-def as_text(found: Found, commands: Commands) -> str:
-    """`commands` tells how a case is run and replayed."""
+def as_text(found: ValidationReport, commands: Commands) -> str:
+    """Return the text. `commands` returns the commands that run and replay a case."""
     lines = [*_head(found), ""]
     for line in dict.fromkeys(v.assumption.line for v in found.verdicts):
         lines += [*_assumption(found, [v for v in found.verdicts if v.assumption.line == line], commands), ""]
@@ -60,7 +61,7 @@ def as_text(found: Found, commands: Commands) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def _head(found: Found) -> Iterator[str]:
+def _head(found: ValidationReport) -> Iterator[str]:
     last = found.seed + found.samples - 1
     yield (
         f"{found.program} on {found.fleet}: {found.finished} of {found.samples} runs of {found.seconds:g} s, "
@@ -74,19 +75,19 @@ def _head(found: Found) -> Iterator[str]:
     )
 
 
-def _claim(found: Found) -> str:
+def _claim(found: ValidationReport) -> str:
     bound = found.bound
     says = f"a run from these starts violates with a probability below {bound.epsilon:g}"
     if found.verdict == "VALIDATED":
         return f"with confidence {1 - bound.gamma:g} {says} ({bound.needed} runs or more without a violation)"
     if found.verdict == "VIOLATED":
         platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
-        return f"a proof that rests on what is assumed says nothing of {platforms}"
+        return f"a proof that uses these assumptions does not cover {platforms}"
     asked = f"to say that with confidence {1 - bound.gamma:g} {says} takes {bound.needed} runs without a violation"
     return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 
 
-def _assumption(found: Found, verdicts: Sequence[Verdict], commands: Commands) -> Iterator[str]:
+def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:
     about = verdicts[0].assumption
     yield f"{about.module} ({found.program}:{about.line}): {found.texts.get(about.line, '')}"
     confidence = f"{100 * (1 - found.bound.gamma):g} %"
@@ -113,7 +114,7 @@ def _assumption(found: Found, verdicts: Sequence[Verdict], commands: Commands) -
     yield "  Windows of a run are not independent of one another; the interval is over runs (Clopper-Pearson)."
 
 
-def _cells(verdict: Verdict) -> tuple[str, ...]:
+def _cells(verdict: AssumptionVerdict) -> tuple[str, ...]:
     low, high = verdict.interval
     outside = [f"{max(m.values()):.3f} m" if m else "-" for m in (verdict.farthest, verdict.together)]
     return (
@@ -129,15 +130,15 @@ def _columns(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield f"  {'  '.join(words)}"
 
 
-def _breaches(verdict: Verdict) -> Iterator[str]:
+def _breaches(verdict: AssumptionVerdict) -> Iterator[str]:
     for kind, count in sorted(verdict.breaches.items(), key=lambda item: -verdict.farthest[item[0]]):
         row = f", {verdict.together[kind]:.3f} m in a row" if kind in verdict.together else ""
         most = f"{verdict.farthest[kind]:.3f} m outside the box in one{row}"
         yield f"  {verdict.platform}: {kind}, {count} windows, at most {most}"
-        yield f"    {TOLD[kind]}"  # type: ignore[index]
+        yield f"    {EXPLANATIONS[kind]}"  # type: ignore[index]
 
 
-def _case(verdict: Verdict, case: Case, commands: Commands) -> Iterator[str]:
+def _case(verdict: AssumptionVerdict, case: Case, commands: Commands) -> Iterator[str]:
     how = ""
     if case.breach is not None:
         x, y, z = case.breach.out
@@ -153,7 +154,7 @@ def _case(verdict: Verdict, case: Case, commands: Commands) -> Iterator[str]:
     yield f"    {replay}"
 
 
-def _suggestions(found: Found) -> Iterator[str]:
+def _suggestions(found: ValidationReport) -> Iterator[str]:
     seen = max((v.runs for v in found.verdicts), default=0)
     epsilon = max((v.epsilon for v in found.verdicts), default=1.0)
     kept = f"all of these {seen} runs" if seen > 1 else "this one run"
@@ -184,13 +185,13 @@ def _closes(own: Sequence[Suggestion]) -> str:
     if closing:
         return f"The prover closes every invariant with: assume {closing[0]}"
     return (
-        "The prover closes it with neither: say more of the motion, with a velocity or a braking term, or give the "
-        "invariant room for the margin."
+        "The prover closes it with neither: constrain the motion more, with a velocity or a braking term, or weaken "
+        "the invariant by the margin."
     )
 
 
-def document(found: Found, commands: Commands) -> dict[str, Any]:
-    """As JSON has it."""
+def document(found: ValidationReport, commands: Commands) -> dict[str, Any]:
+    """Return the result for JSON."""
     return {
         "format": FORMAT,
         "program": found.program,
@@ -212,7 +213,7 @@ def document(found: Found, commands: Commands) -> dict[str, Any]:
     }
 
 
-def _verdict(found: Found, verdict: Verdict, commands: Commands) -> dict[str, Any]:
+def _verdict(found: ValidationReport, verdict: AssumptionVerdict, commands: Commands) -> dict[str, Any]:
     plain = asdict(verdict)
     about = plain.pop("assumption")
     worst = verdict.worst

@@ -1,13 +1,13 @@
-"""Reachsets: where a platform can be while it goes to a target, as a tube of boxes over time, learned from samples.
+"""Reachsets: a platform's positions on its path to a target, as boxes over time, from samples.
 
-After DryVR (sensitivity.py): ways from sampled starts cover the set of starts, and are inflated by how far a way can
-get from the nearest of them. By what multiple of that is found on samples of its own: the least that keeps all of them
-inside at all times. So it is one threshold, and what `sensitivity.bound` says holds of whole ways: with confidence
-1 - gamma no more than a part epsilon of all ways, drawn as these were, ever leave the tube. That is the holdout method
-(E. Dietrich, R. Devonport, S. Tu, M. Arcak, "Data-Driven Reachability with Scenario Optimization and the Holdout
-Method", arXiv:2504.06541, 2025). The claim is about the simulator and the starts drawn, and is statistical.
+After DryVR (sensitivity.py): paths from sampled starts cover the set of starts, and are inflated by the distance that a
+path can have from the nearest of them. The factor of this inflation is calibrated on separate samples: the least that
+keeps all of them inside at all times. So it is one threshold, and the bound of `statistics.needed` applies to whole
+paths: with confidence 1 - gamma at most a part epsilon of all paths, drawn as these were, ever leave the tube. This is
+the holdout method (E. Dietrich, R. Devonport, S. Tu, M. Arcak, "Data-Driven Reachability with Scenario Optimization and
+the Holdout Method", arXiv:2504.06541, 2025). The claim is about the simulator and the drawn starts, and is statistical.
 
-Frame: ENU, metres, its origin at the nominal start; times in seconds since the target came.
+Frame: ENU, metres, its origin at the nominal start; times in seconds since the target was commanded.
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ from koordgen.experiment.validate.statistics import needed
 
 Array = NDArray[np.float64]
 FORMAT = "koord-reachset/1"
-EPSILON, GAMMA = 0.05, 0.05  # as `koordgen validate` has them
-STEP = 0.05  # seconds that a box of the tube is for, at most
-SEGMENT = 0.25  # seconds of the discrepancy's segments
-VELOCITY, HEADING = 1.0, 1.0  # s, m: what a m/s, and a unit of heading, count for in the distance of two starts
-SHOWN = 24  # ways that a reachset keeps for pictures, evenly from those that go farthest to those that go least far
-SLOW = 0.05  # m/s: who is faster at the end had not come to rest
-MOST_BOXES = 100  # of a volume
+EPSILON, GAMMA = 0.05, 0.05  # defaults of `koordgen validate`
+STEP = 0.05  # longest time of one box of the tube in seconds
+SEGMENT = 0.25  # length of the discrepancy's segments in seconds
+VELOCITY, HEADING = 1.0, 1.0  # weights in the distance of two starts: s for a velocity, m for a unit of heading
+SHOWN = 24  # paths in a reachset for pictures, evenly from those with the farthest to those with the nearest end
+SLOW = 0.05  # m/s; a robot that is faster at the end has not stopped
+MOST_BOXES = 100  # most boxes for the computation of a volume
 
 
 @dataclass(frozen=True)
 class Observed:
-    """Of the samples themselves, metres: the farthest beyond the target along the offset, the farthest to a side of
-    it, the farthest out of the box between own start and target; the part that still moved at the end."""
+    """Measurements of the samples, in metres.
+
+    `overshoot`: farthest beyond the target along the offset; `lateral`: farthest to a side of the offset; `excess`:
+    farthest out of the box between own start and target; `moving`: part of the robots that still moved at the end."""
 
     overshoot: float
     lateral: float
@@ -47,11 +49,13 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Reachset:
-    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3), and from above
-    between ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples` are those that it was
-    learned of, calibrated on and checked on; `covered` is the part of the last that never left it, `pairs_covered` that
-    of which the sensitivity held. `inflated` is the multiple of the sensitivity's radius that calibration asked for.
-    `ways` (w, J + 1, 3) are some samples at the edges."""
+    """Tube of boxes.
+
+    While edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3); seen from above, between
+    ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples`: numbers of samples for learning,
+    calibration and check. `covered`: part of the last ones that never left the tube; `pairs_covered`: part of them for
+    which the sensitivity held. `inflated`: calibrated factor on the sensitivity's radius. `ways` (w, J + 1, 3): some
+    samples at the edges."""
 
     platform: str
     target: str
@@ -77,16 +81,17 @@ class Reachset:
 
     @property
     def overshoot(self) -> float:
-        """How far the tube reaches beyond the target, along the offset in x and y, metres; below 0: it does not."""
+        """Return how far the tube extends beyond the target, along the offset in x and y (m); below 0: it ends
+        before."""
         return float(self.ahead.max() - math.hypot(*self.offset[:2]))
 
     @property
     def lateral(self) -> float:
-        """How far it reaches to a side of the offset's line, in x and y, metres."""
+        """Return how far the tube extends to a side of the offset's line, in x and y (m)."""
         return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
-        """As docs/reference/validate.md has it; numbers to a tenth of a millimetre."""
+        """Return the format of docs/reference/validate.md, with numbers rounded to a tenth of a millimetre."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity
@@ -104,7 +109,7 @@ def _listed(values: Array) -> list[float]:
 
 
 def from_json(value: dict[str, Any]) -> Reachset:
-    """Raises ValueError for what is none."""
+    """Return a reachset from its JSON. Raises ValueError if it is none."""
     try:
         if value["format"] != FORMAT:
             raise ValueError(f"its format is {value['format']!r}, not {FORMAT!r}")
@@ -124,14 +129,14 @@ def from_json(value: dict[str, Any]) -> Reachset:
 
 
 def features(starts: Array) -> Array:
-    """Starts (n, 7) as points (n, 8) whose distance is in metres: position, velocity, and heading as a unit vector."""
+    """Map starts (n, 7) to points (n, 8): position, velocity, and heading as a unit vector, in m."""
     yaw = starts[:, 6:7]
     return np.hstack([starts[:, :3], VELOCITY * starts[:, 3:6], HEADING * np.cos(yaw), HEADING * np.sin(yaw)])
 
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """What is learned of ways: boxes (J, a) between `edges`, and how good they are."""
+    """Result of learning from paths: boxes (J, a) between `edges`, and their quality."""
 
     edges: Array
     lower: Array
@@ -143,9 +148,10 @@ class Tube:
 
 
 def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
-    """Of ways (n, T, d) at evenly spaced `times` (T,) with starts (n, f): the first part is learned of, the next `each`
-    are calibrated on, the last `each` checked on. Boxes are for `step` seconds, and along `axes` (d, a), unit vectors.
-    Raises ValueError."""
+    """Learn a tube from `ways` (n, T, d) at evenly spaced `times` (T,) with starts (n, f).
+
+    The first part is for learning, the next `each` for calibration, the last `each` for the check. Boxes last `step`
+    seconds, and extend along `axes` (d, a), unit vectors. Raises ValueError."""
     first = len(ways) - 2 * each
     if first < 2:
         raise ValueError(f"{len(ways)} samples; with {each} to calibrate and {each} to check there must be more")
@@ -166,13 +172,15 @@ def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes:
 
 
 def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
-    """Each way with the one of `centres` that began closest: how far apart over time, and how far their starts."""
+    """Pair each path with that of `centres` with the closest start.
+
+    Return their distances over time, and at the start."""
     which, away = nearest(starts, at)
     return np.linalg.norm(ways - centres[which], axis=2), away
 
 
 def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, Array, Array]:
-    """What is within [low, high] (T, d) at all times of each step."""
+    """Return the hull of [low, high] (T, d) over all times of each step."""
     stride = max(1, round(step / (times[1] - times[0])))
     first = np.arange(0, len(times) - 1, stride)
     last = np.minimum(first + stride, len(times) - 1)
@@ -182,8 +190,8 @@ def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, A
     return times[np.append(first, last[-1])], lower, upper
 
 
-def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
-    """The reachset that samples show. Raises ValueError when they are too few."""
+def reachset_of(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
+    """Return the reachset of some samples. Raises ValueError if they are too few."""
     probe, each = samples.probe, needed(epsilon, gamma)
     platform = probe.platform
     step = platform.delta / math.ceil(platform.delta / STEP)
@@ -204,7 +212,7 @@ def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) ->
 
 
 def above(offset: Vector) -> tuple[Array, Array]:
-    """Unit vectors in x and y, along the offset and to the left of it."""
+    """Return unit vectors in x and y, along the offset and to the left of it."""
     x, y = np.array(offset[:2]) / math.hypot(*offset[:2])
     return np.array([x, y, 0.0]), np.array([-y, x, 0.0])
 
@@ -223,8 +231,10 @@ def _observed(samples: Samples) -> Observed:
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one reachset, m, m^2 and m^3: of the union of its boxes, over the window of one delta in which it is largest
-    and over the whole move; beyond the target; to a side."""
+    """Sizes of one reachset in m, m^2 and m^3.
+
+    They are those of the union of its boxes, over the window of one delta in which it is largest and over the whole
+    move; the distance beyond the target, and to a side."""
 
     area_delta: float
     area: float
@@ -236,7 +246,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two platforms on their way to the same relative offset."""
+    """Comparison of two platforms on their paths to the same relative offset."""
 
     platforms: tuple[str, str]
     offset: Vector
@@ -246,14 +256,14 @@ class Comparison:
         return asdict(self)
 
     def text(self) -> str:
-        """A table."""
+        """Return the comparison as a table."""
         a, b = map(asdict, self.figures)
         rows = [f"{'':22}{self.platforms[0]:>12}{self.platforms[1]:>12}"]
-        rows += [f"{_TOLD[key]:22}{a[key]:12.3f}{b[key]:12.3f}" for key in _TOLD]
+        rows += [f"{_LABELS[key]:22}{a[key]:12.3f}{b[key]:12.3f}" for key in _LABELS]
         return "\n".join(rows) + "\n"
 
 
-_TOLD = {
+_LABELS = {
     "area_delta": "area in a delta, m^2",
     "area": "area, m^2",
     "volume_delta": "volume in a delta, m^3",
@@ -264,7 +274,7 @@ _TOLD = {
 
 
 def figures(found: Reachset) -> Figures:
-    """How large it is, of the boxes that lie along the offset."""
+    """Return the sizes of a reachset, computed from the boxes along the offset."""
     lower = np.stack([found.ahead[:, 0], found.aside[:, 0], found.lower[:, 2]], axis=1)
     upper = np.stack([found.ahead[:, 1], found.aside[:, 1], found.upper[:, 2]], axis=1)
     window = max(1, round(found.delta / (found.edges[1] - found.edges[0])))
@@ -275,21 +285,21 @@ def figures(found: Reachset) -> Figures:
     return Figures(max(areas), area, max(volumes), union(*_fewer(lower, upper)), found.overshoot, found.lateral)
 
 
-def compared(a: Reachset, b: Reachset) -> Comparison:
-    """Raises ValueError when they are of different offsets."""
+def compare(a: Reachset, b: Reachset) -> Comparison:
+    """Compare two reachsets. Raises ValueError if their offsets differ."""
     if a.offset != b.offset:
         raise ValueError(f"{a.platform} went {a.offset}, {b.platform} {b.offset}: that is not the same offset")
     return Comparison((a.platform, b.platform), a.offset, (figures(a), figures(b)))
 
 
 def _fewer(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """No more boxes than a volume takes: the hulls of those that follow one another."""
+    """Join consecutive boxes by their hulls, so that at most MOST_BOXES remain."""
     cuts = np.arange(0, len(lower), math.ceil(len(lower) / MOST_BOXES))
     return np.minimum.reduceat(lower, cuts), np.maximum.reduceat(upper, cuts)
 
 
 def union(lower: Array, upper: Array) -> float:
-    """The measure of a union of boxes (J, d), by the cells between all their faces."""
+    """Return the measure of a union of boxes (J, d), computed on the grid of all their faces."""
     faces = [np.unique(np.concatenate([lower[:, k], upper[:, k]])) for k in range(lower.shape[1])]
     filled = np.zeros([len(f) - 1 for f in faces], dtype=bool)
     for low, high in zip(lower, upper, strict=True):

@@ -1,4 +1,4 @@
-"""What the samples say of each assumption on each platform."""
+"""Verdicts about each assumption on each platform, from the samples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from koordgen.experiment.validate.breach import Breach
+from koordgen.experiment.validate.breach import BoxBreach
 from koordgen.experiment.validate.samples import (
     FINISHED,
     HELD,
@@ -15,41 +15,41 @@ from koordgen.experiment.validate.samples import (
     OUT,
     UNKNOWN,
     VIOLATED,
-    Assumption,
-    Sample,
-    Seen,
+    AssumptionObservation,
+    RunSample,
+    SampledAssumption,
 )
-from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown
+from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown_epsilon
 
 Name = Literal["VALIDATED", "VIOLATED", "INCONCLUSIVE"]
 
 
 @dataclass(frozen=True)
-class Bound:
-    """What is asked for: with confidence 1 - gamma a run violates with a probability below epsilon."""
+class ProbabilityBound:
+    """Claim to validate: with confidence 1 - gamma a run violates with a probability below epsilon."""
 
     epsilon: float
     gamma: float
 
     @property
     def needed(self) -> int:
-        """Runs without a violation."""
+        """Return the number of runs without a violation that show the claim."""
         return needed(self.epsilon, self.gamma)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A violated window that can be looked at again: of which run, with which seed, when (s since round 1)."""
+    """A violated window that can be run again: its run, seed, robot and time (s since round 1)."""
 
     run: int
     seed: int
     robot: str
     at: float
-    breach: Breach | None
+    breach: BoxBreach | None
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotSummary:
     """One robot over all samples: violated runs, judged and violated windows."""
 
     name: str
@@ -59,14 +59,16 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Of one assumption on one platform. `runs` are the samples in which it was judged at all, `violated` those in
-    which it was violated, `interval` that of the probability that a run violates; `windows` and `violated_windows`
-    are of all of them together. `worst` went farthest outside the box, or was first. `epsilon` is what so many runs
-    show without a violation; `wanted` is how many more runs are needed. By kind of breach: violated windows, and metres
-    outside the box in one window (`farthest`) and in windows one after the other (`together`)."""
+class AssumptionVerdict:
+    """Verdict about one assumption on one platform.
 
-    assumption: Assumption
+    `runs`: samples in which it was judged; `violated`: those in which it was violated; `interval`: that of the
+    probability that a run violates it; `windows` and `violated_windows`: sums over all samples. `worst`: the farthest
+    breach, or the first violation. `epsilon`: the bound that this many runs without a violation would show; `wanted`:
+    number of further runs needed. By kind of breach: violated windows, and distances outside of the box in metres, in
+    one window (`farthest`) and in consecutive windows (`together`)."""
+
+    assumption: SampledAssumption
     platform: str
     verdict: Name
     why: str
@@ -82,20 +84,24 @@ class Verdict:
     breaches: Mapping[str, int]
     farthest: Mapping[str, float]
     together: Mapping[str, float]
-    robots: tuple[Robot, ...]
+    robots: tuple[RobotSummary, ...]
 
 
-def verdicts(samples: Sequence[Sample], unfinished: int, bound: Bound) -> list[Verdict]:
-    """By assumption, then platform, in the order of program and fleet; `unfinished` is how many runs that were begun
-    came to nothing. Of no sample nothing can be said, not even which platforms there are."""
+def verdicts(samples: Sequence[RunSample], unfinished: int, bound: ProbabilityBound) -> list[AssumptionVerdict]:
+    """Return the verdicts by assumption, then platform, in the order of program and fleet.
+
+    `unfinished`: number of started runs without a sample. Empty without samples, since then not even the platforms are
+    known."""
     if not samples:
         return []
     platforms = dict.fromkeys(samples[0].platforms)
     return [_of(a, platform, samples, unfinished, bound) for a in samples[0].assumptions for platform in platforms]
 
 
-def _of(assumption: Assumption, platform: str, samples: Sequence[Sample], unfinished: int, bound: Bound) -> Verdict:
-    judged: list[tuple[Sample, list[Seen]]] = []
+def _of(
+    assumption: SampledAssumption, platform: str, samples: Sequence[RunSample], unfinished: int, bound: ProbabilityBound
+) -> AssumptionVerdict:
+    judged: list[tuple[RunSample, list[AssumptionObservation]]] = []
     total: Counter[str] = Counter()
     cut = unfinished
     for sample in samples:
@@ -111,9 +117,9 @@ def _of(assumption: Assumption, platform: str, samples: Sequence[Sample], unfini
     name, why = _said(bad, len(judged), total, cut, wanted)
     all_seen = [one for _, seen in judged for one in seen]
     counted = sum((one.breaches for one in all_seen), Counter[str]())
-    return Verdict(
+    return AssumptionVerdict(
         assumption, platform, name, why, len(judged), bad, clopper_pearson(bad, len(judged), bound.gamma),
-        shown(len(judged), bound.gamma), wanted, total[HELD] + total[VIOLATED], total[VIOLATED], total[OUT],
+        shown_epsilon(len(judged), bound.gamma), wanted, total[HELD] + total[VIOLATED], total[VIOLATED], total[OUT],
         _worst(judged, platform), dict(counted), _most([one.farthest for one in all_seen]),
         _most([one.together for one in all_seen]), _robots(judged, platform),
     )  # fmt: skip
@@ -141,7 +147,7 @@ def _windows(count: int) -> str:
     return f"{count} window{'s' * (count != 1)}"
 
 
-def _worst(judged: Sequence[tuple[Sample, list[Seen]]], platform: str) -> Case | None:
+def _worst(judged: Sequence[tuple[RunSample, list[AssumptionObservation]]], platform: str) -> Case | None:
     cases = [
         Case(s.run, s.seed, s.names[pid], one.worst.at if one.worst else one.first, one.worst)
         for s, seen in judged
@@ -159,7 +165,7 @@ def _most(metres: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return found
 
 
-def _robots(judged: Sequence[tuple[Sample, list[Seen]]], platform: str) -> tuple[Robot, ...]:
+def _robots(judged: Sequence[tuple[RunSample, list[AssumptionObservation]]], platform: str) -> tuple[RobotSummary, ...]:
     if not judged:
         return ()
     first, _ = judged[0]
@@ -168,5 +174,5 @@ def _robots(judged: Sequence[tuple[Sample, list[Seen]]], platform: str) -> tuple
         own = [seen[place].windows for _, seen in judged]
         violated = sum(w[VIOLATED] for w in own)
         windows = violated + sum(w[HELD] for w in own)
-        found.append(Robot(first.names[pid], sum(w[VIOLATED] > 0 for w in own), windows, violated))
+        found.append(RobotSummary(first.names[pid], sum(w[VIOLATED] > 0 for w in own), windows, violated))
     return tuple(found)

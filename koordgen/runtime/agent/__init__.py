@@ -1,6 +1,5 @@
 """Agent: one robot's process.
 
-Owns: phases from start to rest, joining, rounds, outputs, what a robot finds again after a crash.
-Offers: `process.main`, which a bundle's `__main__` calls, and `Machine` to simulators.
-Must not import: targets. It stands on all rooms of the runtime.
-"""
+Owns: phases from start to safe stop, joining, rounds, output commit, persistence.
+Offers: `process.main`, which a bundle's `__main__` calls, and `Agent` to simulators.
+Must not import: targets. It may import all rooms of the runtime."""

@@ -1,14 +1,14 @@
-"""From process start to round 1: who is alive, whose `init` has run, and when the rounds begin.
+"""Joining protocol: from process start to round 1.
 
-Each robot tells each other one, every period, its boot, its `init` result and whose results it holds. A boot is
-adopted only when its Hello answers a challenge that opened after the last adoption, so a recorded Hello of an earlier
-boot never passes for the present one. Who holds all results announces the epoch, a digest of all boots. Once all
-announce the same one, the robot with the lowest pid proposes the start of round 1, and everyone passes it on.
+Every period, each robot sends each other robot a Hello with its boot id, the result of its `init`, and the list of
+results that it holds. A boot is adopted only if its Hello answers a challenge issued after the last adoption, so a
+recorded Hello of an earlier boot never passes for the present one. A robot that holds all results announces the epoch,
+a digest of all boots. Once all robots announce the same epoch, the robot with the lowest pid proposes the start of
+round 1, and every robot passes it on.
 
-A robot whose process died within a mission comes back with the epoch that it had kept, and without an `init`: it is
-adopted by those who are in that mission, and learns the start from them. When all robots are there and nobody is in it,
-that mission is lost, and a new one begins.
-"""
+A robot whose process died during a mission rejoins with the persisted epoch and without an `init`: robots in that
+mission adopt it, and tell it the start. If all robots are present and none is in that mission, the mission is lost, and
+a new one begins."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.wire import Entry, Hello
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
-FEW = 32  # robots; in a larger fleet the period is longer, or Hellos would leave no time for anything else
-LEAD = 5  # periods from the proposal to round 1: so many Hellos from every robot that has heard it
-# Why a robot that does send may not be heard, by the reason its datagrams are dropped for.
+FEW = 32  # robots; larger fleets use a longer period, or Hellos would take too much time
+LEAD = 5  # periods from the proposal to round 1: Hellos from every robot that knows it
+# Explanations for a robot that sends datagrams but is not accepted, by the reason for dropping them.
 _UNHEARD = {
     "not authentic": "datagrams come that were sealed with another key than ours",
     "another application": "datagrams come with another application_id than ours",
@@ -34,26 +34,26 @@ _UNHEARD = {
     "another program": "a robot runs another program",
     "another release": "a robot runs another release of this program",
 }
-LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by one of ours
+LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by a robot of this fleet
 
 
 @dataclass(slots=True)
 class _Other:
-    """What is known of another robot's present boot."""
+    """Present boot of another robot, as far as known."""
 
     adoptions: int = 0
-    challenge: bytes = b""  # of its, for us to answer
+    challenge: bytes = b""  # its challenge, which this robot must answer
     init: Entry | None = None
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
-    idle: bool = False  # it is in no mission
-    inside: bool = False  # it is in ours
-    elsewhere: bool = False  # it is in a mission that our boot is not part of
+    idle: bool = False  # in no mission
+    inside: bool = False  # in this robot's mission
+    elsewhere: bool = False  # in a mission that this robot's boot is not part of
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
-    """An agreed beginning: fleet time of round 1 and everyone's round-0 entry by pid."""
+class AgreedMission:
+    """Agreed mission: epoch, fleet time of round 1 (s), and all robots' round-0 entries by pid."""
 
     epoch: bytes
     start: float
@@ -61,7 +61,7 @@ class Mission:
 
 
 class Joining:
-    """One robot's part in it. Lasts as long as the process: robots that come late are answered during the mission."""
+    """Joining of one robot. Lasts as long as the process: late robots are answered during the mission."""
 
     def __init__(self, link: Link, layout: Layout, names: tuple[str, ...]) -> None:
         self._link = link
@@ -74,44 +74,45 @@ class Joining:
         self._next = 0.0
         self._period = PERIOD * max(1.0, len(names) / FEW)
         self._returning = False
-        self._announced: deque[bytes] = deque(maxlen=8)  # missions that others may have begun with this boot
-        self.met = True  # no robot need be told of this one any more
-        self._restarted: set[int] = set()  # robots that began anew while the mission runs
-        self._untold = False  # there are more of them
-        # Hellos of boots that have not proven to be live: who was answered in this period, and for each robot how many
-        # more came since, with the challenge of one of them.
+        # epochs of missions that other robots may have begun with this boot
+        self._announced: deque[bytes] = deque(maxlen=8)
+        self.met = True  # true if no robot needs this robot's boot any more
+        self._restarted: set[int] = set()  # robots that restarted without their state during the mission
+        self._untold = False  # some of them were not reported yet
+        # Hellos of boots not proven to be live: robots answered in this period, and per robot the number of further
+        # Hellos with one of their challenges.
         self._answered: set[int] = set()
         self._unanswered: dict[int, tuple[int, bytes]] = {}
-        self._random = random.Random(link.boot)  # of a simulated boot the same each time
+        self._random = random.Random(link.boot)  # seeded, so a simulated boot always behaves the same
 
     def come_back(self, epoch: bytes) -> None:
-        """This robot was in the mission of that name when its process died."""
+        """Rejoin the mission of this epoch, in which this robot's process died."""
         self._returning = True
         self.met = False
         self._link.epoch = epoch
 
     def began_anew(self) -> str:
-        """The robots that began anew while the mission runs, when there are more of them than this told before."""
+        """Return the names of robots that restarted without state during the mission; "" if none is new."""
         untold, self._untold = self._untold, False
         return ", ".join(self._names[p] for p in sorted(self._restarted)) if untold else ""
 
     @property
     def lost(self) -> bool:
-        """Whether the mission that this robot would come back to is nobody's any more."""
+        """True if no robot is in the mission that this robot wants to rejoin."""
         return self._returning and self._start is None and all(o.idle for o in self._others.values())
 
     @property
     def inside(self) -> list[int]:
-        """Those who are in the mission that this robot comes back to."""
+        """Pids of the robots in the mission that this robot rejoins."""
         return [p for p, o in self._others.items() if o.inside] if self._returning else []
 
     @property
     def returned(self) -> float | None:
-        """The start of round 1 of the mission that this robot comes back to, once it has heard it."""
+        """Start of round 1 (fleet time) of the mission that this robot rejoins, once known."""
         return self._start if self._returning else None
 
     def ready(self, init: Entry) -> None:
-        """The own `init` has run: this robot begins a mission."""
+        """Begin a mission with the result of this robot's own `init`."""
         self._init = init
         if self._returning:
             self._returning = False
@@ -119,15 +120,17 @@ class Joining:
         self._agree()
 
     @property
-    def mission(self) -> Mission | None:
-        """The mission, once its start is known."""
+    def mission(self) -> AgreedMission | None:
+        """The agreed mission, once its start is known."""
         inits = self._inits()
         if self._start is None or inits is None or self._returning:
             return None
-        return Mission(self._link.epoch, self._start, inits)
+        return AgreedMission(self._link.epoch, self._start, inits)
 
     def poll(self, now: float, fleet: float | None) -> float:
-        """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
+        """Send all Hellos that are due at local time `now`. Return the time of the next call.
+
+        `fleet` is the fleet time, if known."""
         if self._start is not None:
             return self.meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
@@ -141,8 +144,9 @@ class Joining:
         return self._next
 
     def meet(self, now: float) -> float:
-        """During the mission: Hellos to those whose present boot is not known, or who may not know ours. When to be
-        called again."""
+        """Send Hellos during the mission, to robots whose boot is unknown or that may not know this one.
+
+        Returns the time of the next call."""
         if now >= self._next:
             self._next = now + self._period
             self._answer_more()
@@ -152,17 +156,17 @@ class Joining:
         return self._next
 
     def tell(self) -> None:
-        """A Hello to every other robot."""
+        """Send a Hello to every other robot."""
         for pid, other in self._others.items():
             self._hello(pid, other.challenge)
 
     def take(self, hello: Hello, fleet: float | None) -> None:
-        """Judge a Hello that `link` let through."""
+        """Handle a Hello that `link` accepted."""
         pid = hello.head.pid
         other = self._others[pid]
         if not self._link.is_adopted(hello):
             if hello.answer != self._challenge(pid):
-                self._answer(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
+                self._answer(pid, hello.challenge)  # lets the sender prove that it is live; no state is kept until then
                 return
             same_mission = hello.head.epoch == self._link.epoch
             if self._start is not None and not same_mission:
@@ -176,7 +180,7 @@ class Joining:
                 self._link.epoch = b""
         other.challenge = hello.challenge
         if self._start is not None:
-            # Either it missed the proposal, or it has not met this boot; else two that know it have nothing to say.
+            # Answer if the sender missed the proposal, or has not met this boot. Otherwise both know enough.
             if hello.start is None or hello.answer != self._challenge(pid):
                 self._hello(pid, other.challenge)
             return
@@ -194,10 +198,10 @@ class Joining:
         self._learn(other, hello, fleet)
 
     def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
-        """Take over the start of the own mission from one who is in it."""
+        """Adopt the start of this robot's mission from a robot that is in it."""
         epoch = hello.head.epoch
         if hello.start is not None and epoch != self._link.epoch and epoch in self._announced:
-            self.come_back(epoch)  # they began when all had met, before another robot's boot changed
+            self.come_back(epoch)  # the mission began before another robot's boot changed
         other.idle = hello.start is None
         other.elsewhere = hello.start is not None and epoch != self._link.epoch
         other.inside = hello.start is not None and not other.elsewhere
@@ -209,8 +213,10 @@ class Joining:
 
     @property
     def alone(self) -> str:
-        """Why this robot should not begin to move, in words: who was not heard yet, running this program, or is in
-        another mission. Empty when all are here, or one who is in the mission that this robot comes back to."""
+        """Return why this robot should not move yet, "" if it may.
+
+        It waits for robots that were not heard yet, or are in another mission. One robot in the mission that this robot
+        rejoins suffices."""
         return "" if self.inside else "; ".join(self._absent())
 
     def _absent(self) -> list[str]:
@@ -226,7 +232,7 @@ class Joining:
         return parts
 
     def waiting(self) -> str:
-        """What is waited for, in words; empty when the mission's start is known."""
+        """Return the reason for waiting as text; "" once the mission's start is known."""
         if self._start is not None:
             return ""
         absent = self._absent()
@@ -241,8 +247,9 @@ class Joining:
         return "; ".join(parts) or "waiting for the start of round 1"
 
     def _answer(self, pid: int, challenge: bytes) -> None:
-        """Answer a Hello that may be a recorded one: at most one a period and robot, however many come. Of those that
-        come in the same period one is drawn at random for the next period, so that nobody can crowd out the robot
+        """Answer a Hello that may be a recorded one: at most one per period and robot.
+
+        Of several in one period, one is drawn at random for the next period, so an attacker cannot crowd out the robot
         itself."""
         if pid not in self._answered:
             self._answered.add(pid)
@@ -255,7 +262,7 @@ class Joining:
         self._unanswered[pid] = count, drawn
 
     def _answer_more(self) -> None:
-        """A period begins."""
+        """Begin a period: answer the Hellos drawn in the last one."""
         self._answered = set(self._unanswered)
         for pid, (_, challenge) in self._unanswered.items():
             self._hello(pid, challenge)
@@ -267,7 +274,9 @@ class Joining:
         self._link.speech.hello(to, self._challenge(to), answer, holds, self._init, start)
 
     def _challenge(self, pid: int) -> bytes:
-        """New after each adoption and each start, so an answer recorded earlier never fits."""
+        """Return the challenge for a robot.
+
+        New after each adoption and each start, so a recorded answer never fits."""
         text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
         return blake2s(text, digest_size=8, person=b"k-hello").digest()
 

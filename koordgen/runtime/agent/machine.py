@@ -1,8 +1,7 @@
-"""One robot: a machine that is polled, from start through joining and rounds to the safe end.
+"""Agent of one robot: a polled state machine from start through joining and rounds to the safe stop.
 
-Everything it touches is handed to it (clock, transport, platform, trace, log), so that a simulator can drive many on
-a clock of its own.
-"""
+All its dependencies are injected (clock, transport, platform, trace, log), so a simulator can run many agents on a
+clock of its own."""
 
 from __future__ import annotations
 
@@ -11,10 +10,10 @@ import traceback
 from collections.abc import Sequence
 from typing import Any
 
+from koordgen.runtime.agent.checkpoint import CheckpointStore
 from koordgen.runtime.agent.joining import Joining
-from koordgen.runtime.agent.keeping import Keeping, first_hard_state
+from koordgen.runtime.agent.persistence import Persistence, first_hard_state
 from koordgen.runtime.agent.rounds import Lost, Rounds
-from koordgen.runtime.agent.store import Keeper
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.monitor.monitor import Cpu, Monitors
 from koordgen.runtime.net.codec import encoder
@@ -35,19 +34,21 @@ from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import transmissible
-from koordgen.runtime.vehicle.body import Body
+from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
 from koordgen.runtime.vehicle.safety import Guard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
-LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
-MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
+LOST_BODY = 10.0  # seconds for which a lost vehicle is still commanded to stop
+MOST_FAILURES = 100  # consecutive failures of the platform after an internal error, before the agent gives up
 
 
 class Agent:
-    """`poll` it at least as often as it asks for; it is `done` when the body is at rest and nothing is left to serve.
-    `boot` is 8 random bytes, new for every start of the process. Raises TooLarge (layout)."""
+    """Agent of one robot.
+
+    Call `poll` at least as often as it requests. `done` is true once the vehicle has stopped and no robot needs this
+    one. `boot` is the boot id: 8 random bytes, new for every start of the process. Raises TooLarge (layout)."""
 
     def __init__(
         self,
@@ -60,7 +61,7 @@ class Agent:
         trace: Trace,
         emit: Emit,
         boot: bytes,
-        store: Keeper,
+        store: CheckpointStore,
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
         properties: Properties | None = None,
@@ -82,15 +83,17 @@ class Agent:
             program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
         self._joining = Joining(self._link, self._layout, self._names)
-        self._keeping = Keeping(store, program, len(self._names))
-        if self._keeping.interrupted:
-            self._joining.come_back(self._keeping.interrupted)
+        self._persistence = Persistence(store, program, len(self._names))
+        if self._persistence.interrupted:
+            self._joining.come_back(self._persistence.interrupted)
         fence, budget = settings.geofence, settings.planner_budget
-        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
+        self._body = VehicleInterface(
+            program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now
+        )
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._positions = tuple(p.name for p in program.ports if p.is_position)
         self._guard = Guard(settings.safety, settings.geofence, self._positions)
-        self._unready: str | None = None  # why no event may run as far as the body goes
+        self._unready: str | None = None  # the vehicle's reason why no event may run
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None
         self._view = -1
@@ -99,7 +102,7 @@ class Agent:
         self._missed = self._failures = 0
         self._init: Life | None = None
         self._resting_since = 0.0
-        self._served = 0.0  # when the platform's `poll` last went well
+        self._served = 0.0  # time of the platform's last successful `poll`
         self._asked_to_end = False
         self._started = self._lost = self._broken = False
         self.phase = ""
@@ -114,23 +117,24 @@ class Agent:
 
     @property
     def expects(self) -> tuple[int, float]:
-        """See Rounds."""
+        """See Rounds.expects."""
         return self._rounds.expects if self._rounds is not None else (1, 0.0)
 
     def counters(self) -> dict[str, int]:
-        """Everything counted so far, by its name."""
+        """Return all counters by name."""
         counters = None if self._rounds is None else self._rounds.counters
         return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
     def clock_error(self, now: float) -> float | None:
-        """Bound of the error of fleet time at local time `now`, in seconds; None while unknown."""
+        """Return a bound of the error of fleet time at local time `now`, in seconds; None if unknown."""
         bound = self._fleet_clock.bound(now)
         return bound if bound < math.inf else None
 
     def snapshot(self, now: float) -> dict[str, Any]:
-        """Plain values for people, at local time `now`: `pose` (position in metres, ENU; yaw in radians; its age in
-        seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was sent to; and what
-        happened lately (see `recent`)."""
+        """Return values for the status at local time `now`.
+
+        `pose`: position (m, ENU), yaw (rad) and age (s). `battery`: 0 to 1. Both are None if unknown. `goal`: commanded
+        points. Further keys: recent history (see `recent`)."""
         sensed, found = self._platform.sense(now), vitals(self._platform)
         position = own_position(sensed, self._positions)
         pose: dict[str, Any] | None = None
@@ -146,13 +150,13 @@ class Agent:
         }
 
     def end(self, why: str) -> None:
-        """Bring the robot to rest and be done then."""
+        """Stop safely, then be done."""
         self._asked_to_end = True
         self._rest(why, OK)
         self.done = self.done or not self._started
 
     def stop_all(self, why: str) -> None:
-        """An emergency: come to rest at once, and tell the others to."""
+        """Emergency stop: stop this robot at once, and announce the emergency to all others."""
         if self._driver is not None:
             self._driver.replica.declare_emergency()
             self._driver.flush()
@@ -160,8 +164,9 @@ class Agent:
         self.end(why)
 
     def poll(self, now: float) -> float:
-        """Do what is due at local time `now`; returns when to be polled again at the latest (earlier when a datagram
-        arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
+        """Do all work that is due at local time `now`. Return the latest time of the next call.
+
+        Call earlier when a datagram arrives. Never raises: an error leads to a safe stop and sets `status`."""
         try:
             wake = self._poll(now)
             if self.done and self._journal.untold:
@@ -180,7 +185,7 @@ class Agent:
                 self._broken = True
                 self._rest("internal error", INTERNAL)
             self.done = self.done or self._failures > MOST_FAILURES
-        self._transport.receive()  # what waits unread would keep the loop from waiting
+        self._transport.receive()  # unread datagrams would keep `wait` from waiting
         return now + self._platform.period
 
     def _poll(self, now: float) -> float:
@@ -197,7 +202,7 @@ class Agent:
         rounds = self._rounds
         if rounds is None:
             return min(wake, self._join(now))
-        # All others wait for the entry of a ripe round; after it there is time to let more of theirs come.
+        # If a round is ripe, all others wait for this robot's entry: run its event first, and receive afterwards.
         if not rounds.ripe(now):
             self._receive(None)
         due = self._poll_rounds(rounds, now)
@@ -212,31 +217,33 @@ class Agent:
         return min(wake, due, self._joining.meet(now))
 
     def _join(self, now: float) -> float:
-        """Before the rounds: hear who is there, and begin them when it is time."""
+        """Join: receive Hellos, and begin the rounds when it is time."""
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
         self._receive(fleet)
         if inside := self._joining.inside:
-            self._link.keep_time(min(inside), now)  # who keeps the time is not known before the view
+            self._link.keep_time(min(inside), now)  # the time reference is unknown before the view is
         if self.phase not in ("starting", "joining"):
             return math.inf
         if self._init is not None:
-            self._keeping.mission(self._link.epoch, self._init)
+            self._persistence.mission(self._link.epoch, self._init)
         wake = self._joining.poll(now, fleet)
         if self._joining.lost and self.phase == "joining":
-            self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
+            self._journal.warn("no robot is in the mission that this robot would rejoin: a new mission begins")
             self._run_init(now)
         self._begin_rounds(now)
         return wake
 
     def _receive(self, fleet: float | None) -> None:
-        """Handle what has arrived. `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
+        """Handle all received messages. `fleet` is the fleet time; unused once the rounds have begun."""
         messages = self._link.receive()
         for hello in self._link.take_hellos():
             self._joining.take(hello, fleet)
         if messages and self._rounds is not None:
             self._rounds.receive(messages)
         if names := self._joining.began_anew():
-            self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
+            self._journal.error(
+                f"{names} restarted without state during the mission and cannot rejoin: end all robots and start again"
+            )
 
     def _poll_rounds(self, rounds: Rounds, now: float) -> float:
         assert self._driver is not None
@@ -245,13 +252,13 @@ class Agent:
             wake = rounds.poll(now, self._platform.sense, self._unready)
         except Lost as lost:
             self._journal.error(str(lost))
-            self._rest("cannot come back", SURROUNDINGS)
+            self._rest("cannot rejoin", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
         if rounds.counters.in_a_row != self._missed:
             self._judge_missed(rounds)
         if replica.emergency and self.phase == "running":
-            self._journal.error("emergency stop, heard from another robot")
+            self._journal.error("emergency stop, received from another robot")
             self.end("emergency stop")
         self._joining.met = self._joining.met or not replica.is_out
         view = replica.views.view
@@ -262,7 +269,7 @@ class Agent:
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:
-        """What is due after so many rounds without shared state or time; their records may be told much later."""
+        """React to missed rounds (no current shared state, or woke late), without waiting for their records."""
         safety, before = self._settings.safety, self._missed
         self._missed = rounds.counters.in_a_row
         if before < safety.missed_rounds <= self._missed:
@@ -300,20 +307,20 @@ class Agent:
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
             if self.done and not self._broken:
-                self._keeping.forget()  # this robot's part is over: nothing to come back to
+                self._persistence.forget()  # no mission left to rejoin
 
     def _begin_joining(self, now: float) -> None:
-        """The body is ready: hold, and run `init` once."""
+        """Hold position, and run `init` once: the vehicle is ready."""
         self._enter("joining", "")
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
-        if not self._keeping.interrupted:
+        if not self._persistence.interrupted:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
-        """Begin a mission of one's own, with nothing of an earlier one."""
-        self._keeping.forget()
+        """Begin a new mission, without state of an earlier one."""
+        self._persistence.forget()
         sensed = self._platform.sense(now)
         shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
@@ -325,7 +332,7 @@ class Agent:
             return
         result = Entry(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
         length = len(encoder.encode(result))
-        if length > self._link.speech.room:  # a Hello is one datagram
+        if length > self._link.speech.room:  # a Hello must fit into one datagram
             most = self._link.speech.room
             self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
             self._rest("init failed", WRONG_PROGRAM)
@@ -347,12 +354,12 @@ class Agent:
             state = StateMachine.begin(self._layout, self._settings.pid, hard_state.view, mission.inits)
         elif returned is not None:
             start, epoch, state = returned, self._link.epoch, None
-            hard_state = self._keeping.last_hard_state()
+            hard_state = self._persistence.last_hard_state()
             if self._init is None:
-                lives = self._keeping.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
+                lives = self._persistence.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
             else:
                 lives = [self._init]
-                self._keeping.mission(epoch, self._init)
+                self._persistence.mission(epoch, self._init)
         else:
             return
         timeout = self._settings.safety.peer_timeout
@@ -360,7 +367,7 @@ class Agent:
         room = self._link.speech.room
         replica = Replica(self._settings.pid, self._layout, state, hard_state, timeout, room)
         self._driver = Driver(
-            replica, self._link, self._keeping.hard_state, lambda private: self._keeping.life(*private)
+            replica, self._link, self._persistence.hard_state, lambda private: self._persistence.life(*private)
         )  # fmt: skip
         self._rounds = Rounds(
             self._runner, self._body, self._driver, self._fleet_clock, self._names, start, self._settings.delta, lives,
@@ -396,23 +403,25 @@ class Agent:
         self._journal.judged(*self.monitors.summary())
 
     def _give_up(self, now: float) -> None:
-        """A body that is lost for good is tried for a while, one that serves again for as long as it takes; one that
-        never began to serve has nothing to end."""
+        """Decide whether to give up a failed vehicle.
+
+        A lost vehicle is commanded for LOST_BODY seconds; one that works again, for as long as it takes. A vehicle that
+        never started needs no stop."""
         self._end_when_rested()
         if not self._started:
             self.done = True
         elif self.phase == "resting" and now - max(self._resting_since, self._served) > LOST_BODY:
-            self._journal.error(f"the body did not come to rest within {LOST_BODY:.0f} s")
+            self._journal.error(f"the vehicle did not stop within {LOST_BODY:.0f} s")
             self.done = True
 
     def _tell(self) -> None:
-        """Tell of the rounds that have become certain; not while the others' entries are still coming in."""
+        """Record the committed rounds. Not called while entries of others are still arriving."""
         self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
         if self._driver is not None and (state := self._driver.replica.state) is not None:
             self.metrics.held(state.held)
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
-        """What the properties demand, as far as this robot can tell."""
+        """Evaluate the monitors, and apply their verdict."""
         if rounds.moment is not None:
             self._journal.attempt(self.monitors.look, rounds.moment)
         verdict = self.monitors.verdict

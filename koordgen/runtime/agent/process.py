@@ -1,9 +1,10 @@
-"""The process of one robot: `main` of every agent bundle reads its settings, opens what it needs, runs the machine.
+"""Process of one robot.
 
-Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 3 at rest, as the fleet file wants it when
-a property is violated; 5 surroundings (port, link, device, body);
-70 internal error; 130 ended at once by a third signal.
-"""
+`main` of every agent bundle reads its settings, opens its resources and runs the agent.
+
+Exit statuses: 0 done, stopped safely; 1 settings or program are wrong; 2 usage; 3 stopped safely, as the fleet file
+demands after a violated property; 5 environment (port, link, device, vehicle); 70 internal error; 130 ended at once by
+a third signal."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
+from koordgen.runtime.agent.checkpoint import CheckpointFile
 from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
-from koordgen.runtime.agent.store import Store
 from koordgen.runtime.config.settings import BadSettings, Settings
 from koordgen.runtime.native import protocol
 from koordgen.runtime.native.loader import NotCompiled
@@ -52,9 +53,9 @@ from koordgen.runtime.vehicle.platform import Platform, Unready
 __all__ = ["Agent", "main"]
 
 INTERRUPTED = 130
-LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
-YOUNG = 10_000  # new objects after which the collector looks at them: 0.3 ms
-PIECE = 200  # characters that a pipe or terminal takes whole when it says that it takes any
+LONGEST_WAIT = 0.1  # seconds; bound of the delay until a signal is handled
+YOUNG = 10_000  # new objects between two collections of the youngest generation: 0.3 ms
+PIECE = 200  # characters that a pipe or terminal accepts at once when it is ready
 
 NO_DRIVERS: Drivers = {}
 
@@ -67,8 +68,12 @@ def main(
     drivers: Drivers = NO_DRIVERS,
     properties: Properties | None = None,
 ) -> int:
-    """Run robot `program` on the body `platform_type` makes, with the settings in `root`; `drivers` makes those of
-    modules that the body does not offer, `properties` are monitored (None: it has none). Returns the exit status."""
+    """Run the robot's `program` on the vehicle of `platform_type`, with the settings in `root`.
+
+    Return the exit status.
+
+    `drivers` create the drivers of modules that the platform does not offer. `properties` are monitored (None: the
+    program has none)."""
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
@@ -83,7 +88,7 @@ def main(
         settings = open_settings(root, arguments.settings, arguments.pid)
         key = open_key(settings)
         if key is None:
-            _say("warning", "INSECURE: no key, so anyone on this network can drive this robot")
+            _say("warning", "INSECURE: no key is set, so every computer on this network can control this robot")
         if arguments.status:
             return _status(settings, key, arguments.format)
         Layout(program.shared, len(settings.peers))
@@ -92,7 +97,7 @@ def main(
             return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
-        if reason := inbox.accelerator():  # and so may compiling
+        if reason := inbox.accelerator():  # compiling may also take longer than a round
             _say("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
@@ -105,7 +110,7 @@ def main(
     except Unready as error:
         return _fail(error.message, error.hint, SURROUNDINGS)
     except (KeyboardInterrupt, EndedAtOnce):
-        return _fail("ended at once; the body is left to its own failsafe", "", INTERRUPTED)
+        return _fail("ended at once; the vehicle is left to its own failsafe", "", INTERRUPTED)
     except Exception:
         return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
     finally:
@@ -114,11 +119,10 @@ def main(
 
 
 def settle_collector() -> None:
-    """Keep collections out of rounds as far as possible, once all that stays has been made.
+    """Keep garbage collections out of rounds as far as possible, after all permanent objects were created.
 
-    A full one amid a round takes 6 ms with CasADi's and OMPL's modules, so it need not look at them again. Nearly
-    nothing that a round makes is in a cycle, so the youngest objects are looked at seldom.
-    """
+    A full collection takes 6 ms with CasADi's and OMPL's modules, so these are excluded from now on. Nearly no object
+    of a round is in a cycle, so the youngest generation is collected rarely."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(YOUNG)
@@ -131,10 +135,10 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
         allow_abbrev=False,
     )
     parser.add_argument(
-        "--check", action="store_true", help="look whether all is well, up to the first that is not; move nothing"
+        "--check", action="store_true", help="check that the robot can start, up to the first problem; move nothing"
     )
-    parser.add_argument("--doctor", action="store_true", help="tell of all that there is to look at; move nothing")
-    parser.add_argument("--status", action="store_true", help="tell how the agent does that runs on this host")
+    parser.add_argument("--doctor", action="store_true", help="run all checks and report them; move nothing")
+    parser.add_argument("--status", action="store_true", help="show the status of the agent that runs on this host")
     parser.add_argument(
         "--compile",
         action="store_true",
@@ -143,9 +147,9 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
     parser.add_argument(
         "--format", choices=("text", "json"), default="text", help="of --status and --doctor (default: text)"
     )
-    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON that overrides the bundle's settings.json")
     parser.add_argument("--pid", type=int, metavar="N", help="take the place of robot N of the fleet")
-    parser.add_argument("--quiet", action="store_true", help="tell only warnings and errors")
+    parser.add_argument("--quiet", action="store_true", help="print only warnings and errors")
     try:
         return parser.parse_args(list(argv))
     except SystemExit as done:
@@ -187,7 +191,7 @@ def _run(
 
     clock = SystemClock()
     with ExitStack() as opened:
-        transport = open_transport(settings)  # first: it tells that we run already
+        transport = open_transport(settings)  # first, because it fails if this robot already runs
         opened.callback(transport.close)
         control = Control.open(settings, key)
         opened.callback(control.close)
@@ -210,7 +214,7 @@ def _run(
         signals = opened.enter_context(_Signals())
         seen = 0
         stopped = False
-        agent.poll(clock.now())  # the body opens, and imports, what it needs
+        agent.poll(clock.now())  # the vehicle opens and imports its dependencies
         settle_collector()
         notifier.ready()
         while not agent.done:
@@ -223,14 +227,14 @@ def _run(
                 seen += 1
                 if seen == 1:
                     notifier.stopping()
-                    agent.end(f"{signals.name}: coming to rest")
+                    agent.end(f"{signals.name}: stopping safely")
                 else:
-                    _say("warning", "still coming to rest; one more signal ends the process at once")
+                    _say("warning", "still stopping; one more signal ends the process at once")
             transport.wait(min(wake - clock.now(), LONGEST_WAIT), *agent.expects)
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)
-        gc.unfreeze()  # OMPL's binding tells at the end of what was not given back
+        gc.unfreeze()  # so that OMPL's binding can report leaks at the end
         return agent.status
 
 
@@ -260,8 +264,9 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
 
 
 class _Signals:
-    """SIGINT, SIGTERM and SIGHUP, counted inside the block; the third raises EndedAtOnce wherever the process is.
-    A terminal that closed counts once, however often it is told; under `nohup` it stays ignored."""
+    """Counter of SIGINT, SIGTERM and SIGHUP inside a block; the third raises EndedAtOnce.
+
+    A closed terminal counts once, however often it is signalled. Under `nohup`, SIGHUP stays ignored."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -287,18 +292,18 @@ class _Signals:
             raise EndedAtOnce
 
 
-def _open_store(program: Program, settings: Settings, root: Path) -> Store:
-    """Beside the bundle, not in it: a bundle can be replaced only while it holds nothing of its user's."""
+def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointFile:
+    """Open the store beside the bundle, not in it: a bundle can be replaced only without user files in it."""
 
     def warn(text: str) -> None:
         _say("warning", text)
 
     if settings.state is None:
-        warn("state: none is kept, so if this program dies, the robot cannot come back to its mission")
+        warn("state: nothing is persisted, so if this program dies, the robot cannot rejoin its mission")
         path = None
     else:
         path = root.resolve().parent / settings.state / f"{settings.robot}.state"
-    return Store.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
+    return CheckpointFile.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
 
 
 def _open_trace(settings: Settings) -> Trace:
@@ -312,7 +317,7 @@ def _open_trace(settings: Settings) -> Trace:
         if limit is not None and (path.is_file() or not path.exists()):  # a pipe or a device has no parts
             return Trace(Parts(path, settings.robot, round(limit * MEGABYTE)), warn)
         set_aside(path)
-        return Trace(path.open("wb"), warn)  # lives as long as the run
+        return Trace(path.open("wb"), warn)  # closed at the end of the run
     except OSError as error:
         raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
 
@@ -327,8 +332,9 @@ def _say(level: str, text: str) -> None:
 
 
 def _print(line: str) -> None:
-    """To standard error, as far as it takes it at once: neither a closed terminal nor one that is halted (Ctrl-S, a
-    broken ssh connection) must stop the control loop of a flying robot."""
+    """Print to standard error without blocking, and drop what it does not accept.
+
+    A closed or halted terminal (Ctrl-S, a broken ssh connection) must not stop the control loop of a flying robot."""
     text = line + "\n"
     with suppress(OSError, ValueError):
         for at in range(0, len(text), PIECE):
@@ -339,9 +345,9 @@ def _print(line: str) -> None:
 
 
 def _takes(stream: TextIO) -> bool:
-    """Whether a fragment can be written without waiting."""
+    """Return whether a piece of text can be written without waiting."""
     try:
         number = stream.fileno()
-    except (OSError, ValueError):  # no file at all
+    except (OSError, ValueError):  # not a real file
         return True
     return bool(select.select([], [number], [], 0.0)[1])

@@ -1,4 +1,4 @@
-"""Records that a robot finds again after its process was killed; `store` keeps them in a file."""
+"""Records that survive a crash of a robot's process; `checkpoint` stores them in a file."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import msgspec
 
-KEPT = 8  # rounds whose locals can be found again
+KEPT = 8  # rounds whose locals are recoverable
 
 
 class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The mission this robot is in: its name, the start of round 1 (microseconds of fleet time), the robot's own
-    entry of round 0 as it goes over the wire."""
+    """Mission of this robot.
+
+    Epoch, start of round 1 (microseconds of fleet time), own round-0 entry as on the wire."""
 
     epoch: bytes
     start: int
@@ -19,7 +20,7 @@ class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The robot's own variables after its event of `round`, as LocalsCodec encodes them."""
+    """Private variables after the robot's event of `round`, encoded by LocalsCodec."""
 
     round: int
     incarnation: int
@@ -29,8 +30,10 @@ class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class Acceptor(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Facts about views that the robot has announced: the present view (encoded) and the last round applied in it; for
-    the view `number` that is to come, the ballots promised and accepted and the value (encoded) accepted."""
+    """State of the robot as a Paxos acceptor of views.
+
+    The present view (encoded) and the last round applied in it. For the next view, `number`: ballot promised, ballot
+    and value (encoded) accepted."""
 
     view: bytes
     applied: int
@@ -45,7 +48,7 @@ Kept = Mission | Locals | Acceptor
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The newest of each kind; `locals` are the last KEPT rounds', ascending, the newest record of each."""
+    """The newest record of each kind; `locals`: those of the last KEPT rounds, ascending."""
 
     mission: Mission | None = None
     locals: tuple[Locals, ...] = ()
@@ -53,7 +56,7 @@ class Loaded:
 
 
 class Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Owner of a file. `token` is new whenever all records are forgotten; digests depend on it."""
+    """Owner of a checkpoint file. `token` is new after each erasure; digests depend on it."""
 
     format: int
     app: str

@@ -1,9 +1,10 @@
-"""Rounds of a mission on one robot: in each, at most one event runs, and one entry is sent to all other robots.
+"""Rounds of a mission on one robot.
+
+In each, at most one event runs, and one entry is sent to all other robots.
 
 Round r begins at start + (r-1) delta of fleet time. Entries that are missing then may still arrive until the publish
 deadline; the robot requests them, and skips its event if they did not arrive. Ticks are absolute: a robot that wakes
-late goes on with the present round, and closes the rounds that it missed without events.
-"""
+late goes on with the present round, and closes the rounds that it missed without events."""
 
 from __future__ import annotations
 
@@ -14,9 +15,9 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.agent.outbox import AHEAD, Outbox, has_outputs
+from koordgen.runtime.agent.output_commit import AHEAD, OutputCommit, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
-from koordgen.runtime.net.metrics import Counters
+from koordgen.runtime.net.metrics import RoundCounters
 from koordgen.runtime.net.wire import ReplicaMessage
 from koordgen.runtime.program.program import Effects, Frame, Life
 from koordgen.runtime.program.runner import (
@@ -34,15 +35,15 @@ from koordgen.runtime.program.runner import (
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Moment
+from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Observation
 from koordgen.runtime.trace.writer import Observe, Record
-from koordgen.runtime.vehicle.body import Body, unusable
+from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
 PUBLISH = 0.5  # of delta: the publish deadline, when a round's entry is sent at the latest
 PUNCTUAL = 0.5  # of a tick: a robot that wakes later than this after something was due is late
-GATHER = 300e-6  # seconds to wait for each missing entry before the robot handles those that arrived
-MOST_GATHER = 0.2  # of a round: one tick, the limit of that for all entries
+GATHER = 300e-6  # seconds of waiting per missing entry, before the robot handles the entries received
+MOST_GATHER = 0.2  # share of a round: one tick, the limit of the wait for all entries
 LINGER = 20  # rounds for which a robot serves the others after all have stopped
 
 
@@ -53,11 +54,11 @@ class _Present:
     open: bool = False
     sensed: Sensed | None = None
     tick: int = -1  # the last tick of the round that was handled
-    acknowledged: bool = False  # the robots that wait for it know that this one has applied the round
+    acknowledged: bool = False  # the robots that wait for it know that this robot has applied the round
 
 
 class Lost(Exception):
-    """This robot cannot go on in the mission; the message says why."""
+    """The robot cannot continue in the mission; the message says why."""
 
 
 class Rounds:
@@ -71,7 +72,7 @@ class Rounds:
     def __init__(
         self,
         runner: Runner,
-        body: Body,
+        body: VehicleInterface,
         driver: Driver,
         clock: FleetClock,
         names: tuple[str, ...],
@@ -96,15 +97,15 @@ class Rounds:
         self._left = False
         self._handled = 0  # the last applied round that was settled and acknowledged
         self._restored: Life | None = None  # goes into the next record
-        self._outbox = Outbox(lives[0])
+        self._outbox = OutputCommit(lives[0])
         self._outbox.lives = list(lives)
         self._store_changes = self._replica.store_changes
-        self._view = self._replica.views.view.number  # the latest in which this robot has sent a report
+        self._view = self._replica.views.view.number  # the latest view in which this robot has sent a report
         self.stopped = self._outbox.life.stopped
-        self.counters = Counters()
+        self.counters = RoundCounters()
         self.reason: str | None = None  # why the last round that was closed had no event
-        self.watched = False  # monitors want `moment`
-        self.moment: Moment | None = None  # what the robot knew at the beginning of that round
+        self.watched = False  # true if monitors need `moment`
+        self.moment: Observation | None = None  # what the robot knew at the beginning of that round
 
     @property
     def lacking(self) -> list[str]:
@@ -120,7 +121,7 @@ class Rounds:
         return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
-        """Return whether a round has begun for which all entries are here, so its event may run first."""
+        """Return whether a round has begun for which all entries have arrived, so its event may run first."""
         state, present = self._replica.state, self._present
         if state is None or present.open or state.applied != self.round or not self.round:
             return False
@@ -197,7 +198,7 @@ class Rounds:
             return
         if self._store_changes != self._replica.store_changes:
             self._come_back(state, now)
-        if state.view.number != self._view:  # reports in the new view are wanted before events can go on
+        if state.view.number != self._view:  # all robots need reports in the new view before events can continue
             self._view = state.view.number
             self._replica.send_report(self.round)
             self._driver.flush()
@@ -230,7 +231,7 @@ class Rounds:
         self.counters.rounds += 1
 
     def _come_back(self, state: StateMachine, now: float) -> None:
-        """Go on from the last event of this robot that the other robots count."""
+        """Continue from the last event of this robot that the other robots count."""
         self._store_changes = self._replica.store_changes
         acted = state.acted[self._pid]
         life, records = self._outbox.settle(acted)
@@ -245,7 +246,8 @@ class Rounds:
         self._body.hold(STOPPED, self.stopped, now)
         for record in records:
             self._observe(record)
-        if not self._present.open and self._replica.published < self.round:  # others have an earlier life's entry
+        # the others have an entry of an earlier life
+        if not self._present.open and self._replica.published < self.round:
             self._replica.propose(self.round, {}, stopped=self.stopped)
             self._driver.run()
 
@@ -308,12 +310,12 @@ class Rounds:
         frame = self._runner.frame(state.shared, sensors, self._body.actuators, self._body.call)
         self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
 
-    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Moment:
+    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
         """Return what this robot knows before its event."""
         state, own, body = self._replica.state, self._runner.locals, self._body.actuators
         if state is None or self._outbox.first is not None or self._outbox.undecided:
-            return Moment(self.round, now, SENSED, sensed, sensors, own, {}, body)
-        return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
+            return Observation(self.round, now, SENSED, sensed, sensors, own, {}, body)
+        return Observation(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
         """Return why no event may run, as far as the shared memory goes; None if one may."""

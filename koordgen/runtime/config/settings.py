@@ -1,4 +1,6 @@
-"""A robot's settings: `settings.json` of its bundle, written by `koordgen build --fleet` and read here, typed."""
+"""Settings of a robot.
+
+`settings.json` of its bundle, written by `koordgen build --fleet`, read and typed here."""
 
 from __future__ import annotations
 
@@ -12,23 +14,23 @@ import msgspec
 from koordgen.runtime.values.obstacles import Obstacle
 from koordgen.runtime.values.points import Point
 
-Action = Literal["off", "log", "hold", "land", "stop"]  # when a property is violated; off: it is not looked at
+Action = Literal["off", "log", "hold", "land", "stop"]  # reaction to a violated property; off: it is not evaluated
 
-RELEASE = "RELEASE"  # the file of a bundle that names what was built together
+RELEASE = "RELEASE"  # file of a bundle that names the release it was built in
 
 
 class BadSettings(Exception):
     """A settings file that cannot be used; the message names the file and the key."""
 
 
-# The ranges are those of the fleet file (a test compares them). They are checked here as well, because somebody may
+# The ranges are those of the fleet file (a test compares them). They are checked here as well, because an operator may
 # edit the settings on the robot.
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.05, le=10000.0)]
 
 
 class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where one robot of the fleet receives its datagrams. Its index in `peers` is its pid."""
+    """Address at which one robot receives its datagrams. Its index in `peers` is its pid."""
 
     name: str
     host: str
@@ -36,8 +38,7 @@ class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """WGS-84 place of the fleet's local ENU frame: radians would hide it, so degrees; metres above the ellipsoid's
-    mean sea level (AMSL)."""
+    """WGS-84 position of the fleet's local ENU frame: degrees, and metres above mean sea level (AMSL)."""
 
     latitude: Annotated[float, msgspec.Meta(ge=-90, le=90)]
     longitude: Annotated[float, msgspec.Meta(ge=-180, le=180)]
@@ -45,7 +46,7 @@ class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An axis-parallel box, metres, local ENU."""
+    """Axis-aligned box: metres, local ENU."""
 
     lo: Point
     hi: Point
@@ -54,31 +55,33 @@ class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Thresholds of the safety layer, in seconds or rounds."""
 
-    position_stale: Seconds = 0.5  # seconds without a fresh own position: hold
-    position_lost: Seconds = 2.0  # ... : end safely
-    # rounds in a row in which the shared state was not current, then `missed_action`
+    position_stale: Seconds = 0.5  # seconds without a fresh own position, then hold
+    position_lost: Seconds = 2.0  # seconds without a fresh own position, then stop safely
+    # consecutive rounds without current shared state, then `missed_action`
     missed_rounds: Annotated[int, msgspec.Meta(ge=1, le=10000)] = 10
-    missed_action: Literal["hold", "rest"] = "hold"  # go on holding, with a warning; or end safely
-    # rounds in which nothing comes of a robot, then the others go on without it
+    missed_action: Literal["hold", "rest"] = "hold"  # keep holding with a warning, or stop safely
+    # rounds without messages of a robot, then the others continue without it
     peer_timeout: Annotated[int, msgspec.Meta(ge=3, le=10000)] = 10
-    outside_fence: Seconds = 0.5  # seconds outside the geofence: end safely
+    outside_fence: Seconds = 0.5  # seconds outside the geofence, then stop safely
 
 
 class Network(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How datagrams go from robot to robot; `group` to `interface` are for multicast and broadcast, the rest for
-    Zenoh, whose endpoints are such as `udp/192.168.1.20:47100`."""
+    """Transport of datagrams between robots.
+
+    `group` to `interface` are for multicast and broadcast, the rest for Zenoh, with endpoints such as
+    `udp/192.168.1.20:47100`."""
 
     transport: Literal["unicast", "broadcast", "multicast", "zenoh"] = "unicast"
-    group: str = ""  # IPv4 address that all robots listen to
-    port: Port = 47000  # ... and its port; not the robots' own
-    interface: str = ""  # address or name of the interface for multicast; empty: that of the robot's own address
-    mode: Literal["peer", "router", "client"] = "peer"  # routers pass on what others send
-    listen: tuple[str, ...] | None = None  # endpoints; None: the robot's own address, and none as a client
-    connect: tuple[str, ...] | None = None  # endpoints; None: the robots of lower pid, each pair once
+    group: str = ""  # IPv4 address that all robots listen on
+    port: Port = 47000  # port of the group; differs from the robots' own ports
+    interface: str = ""  # address or name of the multicast interface; empty: that of the robot's own address
+    mode: Literal["peer", "router", "client"] = "peer"  # routers forward datagrams of others
+    listen: tuple[str, ...] | None = None  # endpoints; None: the robot's own address, or none for a client
+    connect: tuple[str, ...] | None = None  # endpoints; None: the robots of lower pid, so each pair connects once
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything one robot must know besides its program. `body` belongs to the target and is checked by it."""
+    """All settings of one robot. `body` belongs to the target, which checks it."""
 
     app: str
     robot: str
@@ -87,7 +90,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     peers: tuple[Peer, ...]
     origin: Origin
     geofence: Box
-    application_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0  # tells apart fleets that share a network
+    application_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0  # distinguishes fleets that share a network
     key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
     insecure: bool = False  # run without a key, with a warning
     safety: Safety = Safety()
@@ -95,26 +98,28 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     monitors: dict[str, Action] = {}  # by an invariant's name, "assume MODULE", "requires F", "ensures F", or "default"
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
-    # megabytes (10^6 bytes) that all parts of the trace may take together; None: no limit
+    # megabytes (10^6 bytes) of all parts of the trace together; None: no limit
     trace_limit: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 256.0
-    # seconds that a call of a planner within an event may take; more is counted and told
+    # seconds that a planner call within an event may take; longer calls are counted and reported
     planner_budget: Annotated[float, msgspec.Meta(ge=0.0005, le=1.0)] = 0.01
-    obstacles: tuple[Obstacle, ...] = ()  # what stands there; numbered from 0
-    avoid: str = ""  # the allread variable in which robots publish their paths; empty: planners do not look at others
-    bind: str = ""  # the address to listen on, when it is not the one that peers send to
-    control: Port | None = None  # UDP port of orders; None: `control_port`
+    obstacles: tuple[Obstacle, ...] = ()  # obstacles of the world, numbered from 0
+    avoid: str = ""  # allread variable in which robots publish their paths; empty: planners ignore other robots
+    bind: str = ""  # address to listen on, if it differs from the one that peers send to
+    control: Port | None = None  # UDP port of control commands; None: `control_port`
     release: Annotated[str, msgspec.Meta(pattern=r"\A([0-9a-f]{32})?\Z")] = ""  # from the bundle's file RELEASE
-    state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none
+    state: str | None = "state"  # folder of persistent state, beside the bundle; None: nothing is persisted
 
     @property
     def control_port(self) -> int:
-        """The robot's own port and 1000 (minus 1000 when there is no such port), unless it is set."""
+        """UDP port of control commands: the robot's port plus 1000 (minus 1000 beyond 65535), unless set."""
         port = self.peers[self.pid].port
         return self.control or (port + 1000 if port + 1000 <= 65535 else port - 1000)
 
 
 def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> Settings:
-    """Read a settings file, laid over by another (tables merge, all else replaces) and by a pid. Raises BadSettings."""
+    """Read a settings file. Another file (tables merge, other values replace) and a pid may override it.
+
+    Raises BadSettings."""
     merged = _read(path)
     base = path.parent
     if overrides is not None:
@@ -139,7 +144,7 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
 
 
 def _release(path: Path) -> str:
-    """The name in a bundle's file RELEASE; empty where there is none: the bundle was built without a fleet file."""
+    """Return the content of a bundle's file RELEASE; "" if it was built without a fleet file."""
     try:
         return path.read_text(encoding="ascii").strip()
     except FileNotFoundError:
@@ -161,7 +166,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _finite(text: str) -> float:
-    """A threshold that is not a number would never be passed, and no fence would hold."""
+    """Refuse NaN and infinity: a NaN threshold is never passed, and such a fence never holds."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is not a finite number")

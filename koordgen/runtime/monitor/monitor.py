@@ -1,9 +1,10 @@
-"""A robot's own monitors: what of the program's invariants, port assumptions and contracts it can tell by itself.
+"""Monitors of one robot.
 
-An invariant is evaluated at the start of a round, on what is certain then: the robot's own sensors and variables, and
-the store as its replica holds it, all of that one moment; of other robots' ports and locals nothing is known. A port
-assumption is evaluated from right after a round's event to the next round's sensors. Nothing here raises.
-"""
+Evaluate invariants, port assumptions and contracts as far as the robot knows.
+
+An invariant is evaluated at the start of a round, on committed data: the robot's own sensors and variables, and its
+replica of the store, all of the same time; other robots' ports and locals are unknown. A port assumption is evaluated
+from right after a round's event to the next round's sensors. Nothing here raises."""
 
 from __future__ import annotations
 
@@ -27,24 +28,36 @@ from koordgen.runtime.program.property import (
     judged,
 )
 from koordgen.runtime.program.runner import LEFT, Limit, Overrun
-from koordgen.runtime.trace.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
+from koordgen.runtime.trace.monitored import (
+    FOR_GOOD,
+    OWN,
+    SENSED,
+    SHARED,
+    Change,
+    MonitoredProperty,
+    Observation,
+    usable,
+)
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.safety import GO, Verdict
 
-SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take
-LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
-BUDGET = 0.1  # of delta: what the properties of one round may take, all together
-MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
-LOOPS = "loop invariants"  # their name in the settings, all together
+SHARE = 0.03  # share of the agent's CPU time for properties that are only logged
+LONGEST_WAIT = 50  # rounds after which a property is evaluated regardless of its cost
+BUDGET = 0.1  # share of delta for all properties of one round
+MOST_OVERRUNS = 3  # a property that exceeds its time more often is switched off
+LOOPS = "loop invariants"  # name of all loop invariants in the settings
 
 Tell = Callable[[Change], None]
 
 
 class Monitors:
-    """`look` at each round's moment once its closing has left, `hear` each round's record once it is certain. `verdict`
-    is what the violated ones demand. `limit` interrupts what takes too long. Of those that are only logged as many are
-    evaluated as the processor's time `cpu` allows, the oldest first; those with an action always."""
+    """Monitors of one robot.
+
+    Call `look` with each round's observation after its entry was sent, and `hear` with each round's record once it is
+    committed. `verdict` is the reaction that violated properties demand. `limit` interrupts long evaluations.
+    Properties that are only logged are evaluated as far as the CPU time `cpu` allows, the least recently evaluated
+    first; properties with an action always."""
 
     def __init__(
         self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit, cpu: Cpu | None = None
@@ -55,11 +68,14 @@ class Monitors:
         self._actions = settings.monitors
         self._tell, self._limit, self._cpu = tell, limit, cpu
         self._round = 0
-        self._invariants: list[Watched] = []
-        self._assumptions: list[Watched] = []
-        self._contracts: dict[Contract, tuple[Watched, str | None]] = {}  # broken ones, with the event that broke it
-        self._loops: dict[int, tuple[Watched, str | None]] = {}  # loop invariants that were false, by line, likewise
-        self._off: list[Watched] = []
+        self._invariants: list[MonitoredProperty] = []
+        self._assumptions: list[MonitoredProperty] = []
+        # broken contracts, each with the event that broke it
+        self._contracts: dict[Contract, tuple[MonitoredProperty, str | None]] = {}
+        self._loops: dict[
+            int, tuple[MonitoredProperty, str | None]
+        ] = {}  # false loop invariants by line, each with its event
+        self._off: list[MonitoredProperty] = []
         self._last: Record | None = None
         self._actuators: Mapping[str, Any] | None = None  # after the last record's round
         self._found = found
@@ -77,18 +93,18 @@ class Monitors:
                 places = [place.get(name, OWN) for name in p.reads]
                 reads, needs, senses = frozenset(p.reads), max(places, default=SENSED), SENSED in places
                 line = f"{program.source}:{p.line}"
-                self._invariants.append(Watched("invariant", p.name, line, action, p, reads, needs, senses))
+                self._invariants.append(MonitoredProperty("invariant", p.name, line, action, p, reads, needs, senses))
         for a in found.assumptions:
             if (action := self._action(f"assume {a.module}")) != "off":
                 self._assumptions.append(
-                    Watched("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
+                    MonitoredProperty("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
                 )
-        # Each has its own, so that neither gets all the time that there is.
+        # Separate budgets, so that neither group takes all the time.
         share = SHARE / 2 if self._invariants and self._assumptions else SHARE
-        self._invariant_time, self._assumption_time = Allowance(self._cpu, share), Allowance(self._cpu, share)
+        self._invariant_time, self._assumption_time = CpuBudget(self._cpu, share), CpuBudget(self._cpu, share)
         names = sorted(frozenset[str]().union(*(watched.reads for watched in self._invariants)))
         self._reading = [(name, place.get(name, OWN)) for name in names]
-        self._values: dict[str, Any] = {}  # what was read last
+        self._values: dict[str, Any] = {}  # last values read
         self._rows = {name: [UNKNOWN] * n for name in self._known.each}
         one = self._step.one
         primed = frozenset[str]().union(*(watched.reads for watched in self._assumptions))
@@ -103,19 +119,20 @@ class Monitors:
         return self._actions.get(name) or self._actions.get("default") or "log"
 
     @property
-    def watched(self) -> list[Watched]:
-        """Everything that has an outcome or may get one."""
+    def watched(self) -> list[MonitoredProperty]:
+        """All properties with a verdict, or that may get one."""
         noted = (watched for watched, _ in (*self._contracts.values(), *self._loops.values()))
         return [*self._invariants, *self._assumptions, *self._off, *noted]
 
     @property
     def wanted(self) -> bool:
-        """Whether moments are to be looked at."""
+        """True if observations are needed."""
         return bool(self._invariants or self._assumptions)
 
-    def look(self, moment: Moment | None) -> None:
-        """The present round's moment; the same one is looked at once. What it raises is a mistake of ours: all
-        invariants are off then."""
+    def look(self, moment: Observation | None) -> None:
+        """Evaluate invariants on the present round's observation, once per round.
+
+        An exception here is an internal error: it switches all invariants off."""
         if moment is None or moment.round == self._round:
             return
         self._round = moment.round
@@ -126,7 +143,7 @@ class Monitors:
                 self._invariants = []
                 raise
 
-    def _look(self, moment: Moment) -> None:
+    def _look(self, moment: Observation) -> None:
         if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
             return
         changed = self._put(moment)
@@ -138,25 +155,25 @@ class Monitors:
                 self._wait(watched, moment)
             elif watched.due:
                 due.append(watched)
-            else:  # what has not become another is as true as it was before
+            else:  # unchanged values: as true as before
                 watched.true = moment.round - (old if watched.senses else 0)
         if due:
             self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
         self._invariant_time.end()
 
-    def _is_urgent(self, asked: list[Watched]) -> bool:
-        """Whether one cannot wait for the processor's time."""
+    def _is_urgent(self, asked: list[MonitoredProperty]) -> bool:
+        """Return whether a property must be evaluated without regard to CPU time."""
         return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
-    def _wait(self, watched: Watched, moment: Moment) -> None:
-        """What is not certain for too long is not known any more."""
+    def _wait(self, watched: MonitoredProperty, moment: Observation) -> None:
+        """Set a property to unknown if its data are uncommitted for too long."""
         age = moment.round - watched.true
         if age > self._patience and watched.outcome not in (None, "unknown"):
             watched.due = True
             self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
 
-    def _put(self, moment: Moment) -> set[str]:
-        """What is certain; the names of what is another object than before."""
+    def _put(self, moment: Observation) -> set[str]:
+        """Update the known values. Return the names of those that changed (by object identity)."""
         known, values, changed = self._known, self._values, set()
         for name, place in self._reading:
             if place > moment.certain:
@@ -175,7 +192,7 @@ class Monitors:
         return changed
 
     def hear(self, record: Record) -> None:
-        """A round's record, in their order: it shows of assumptions about the round before, and of contracts."""
+        """Evaluate assumptions and contracts on a round's record. Call in order of rounds."""
         last, self._last = self._last, record
         actuators = self._actuators if record.frame is None else record.frame.actuators
         if record.restored is not None:
@@ -191,15 +208,14 @@ class Monitors:
             self.ran(record.effects, record.event, record.round, record.time)
 
     def ran(self, effects: Effects, event: str | None, round_: int, time: float) -> None:
-        """Take note of the loop invariants that were false in an event that counts (None: `init`), and of those that
-        were false in it before and are not any more."""
+        """Record loop invariants that were false in a committed event (None: `init`), or are true again."""
         where = f"the event {event}" if event is not None else "init"
         for line in effects.violated:
             action = self._action(LOOPS)
             if action == "off":
                 return
             source = self._found.program.source if self._found is not None else ""
-            made = Watched("loop invariant", f"line {line}", f"{source}:{line}", action)
+            made = MonitoredProperty("loop invariant", f"line {line}", f"{source}:{line}", action)
             watched, _ = self._loops.get(line, (made, None))
             self._loops[line] = watched, event
             watched.true = round_
@@ -210,7 +226,9 @@ class Monitors:
                 self._become(watched, "held", f"{where} ran through again", time)
 
     def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
-        """Of the round that `before` tells of: from right after its event to the sensors of the next round."""
+        """Evaluate assumptions on the round of `before`.
+
+        From right after its event to the next round's sensors."""
         if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
             return
         commanded = before.effects.actuators if before.effects is not None else ()
@@ -226,14 +244,14 @@ class Monitors:
         self._assumption_time.end()
 
     def _contract(self, record: Record) -> None:
-        """An event that a broken contract discarded; or that ran through although one was broken in it before."""
+        """Record a contract that an event broke, or that holds again after an event ran without fault."""
         fault = record.fault
         if fault is not None and fault.contract is not None:
             contract = fault.contract
             action = self._action(f"{contract.of} {contract.name}")
             if action == "off":
                 return
-            made = Watched(contract.of, contract.name, f"{fault.file}:{contract.line}", action)
+            made = MonitoredProperty(contract.of, contract.name, f"{fault.file}:{contract.line}", action)
             watched, _ = self._contracts.get(contract, (made, None))
             self._contracts[contract] = watched, record.event
             watched.true = record.round
@@ -245,11 +263,11 @@ class Monitors:
                     self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
 
     def _judge(
-        self, due: list[Watched], known: Known, allowance: Allowance, time: float, round_: int, old: int
+        self, due: list[MonitoredProperty], known: Known, allowance: CpuBudget, time: float, round_: int, old: int
     ) -> None:
-        """What each comes to, within the time that there is; what of it senses was so `old` rounds before `round_`."""
-        found: list[tuple[Watched, Outcome, str]] = []
-        begun: Watched | None = None
+        """Evaluate properties within the time budget. Sensor values are `old` rounds older than `round_`."""
+        found: list[tuple[MonitoredProperty, Outcome, str]] = []
+        begun: MonitoredProperty | None = None
         try:
             with self._limit(BUDGET * self._delta):
                 for watched in sorted(due, key=_urgency):
@@ -267,8 +285,8 @@ class Monitors:
                 why = self._told(watched, known)
             self._become(watched, outcome, why, time)
 
-    def _overran(self, late: Watched, time: float) -> None:
-        """One that takes too long again and again is given up."""
+    def _overran(self, late: MonitoredProperty, time: float) -> None:
+        """Count an overrun, and switch the property off after too many."""
         late.overruns += 1
         if late.overruns > MOST_OVERRUNS:
             self._invariants = [w for w in self._invariants if w is not late]
@@ -276,8 +294,8 @@ class Monitors:
             self._off.append(late)
             self._become(late, "no value", f"it takes more than {BUDGET * self._delta * 1e3:.3g} ms: it is off", time)
 
-    def _told(self, watched: Watched, known: Known) -> str:
-        """The robots and the values that made it false."""
+    def _told(self, watched: MonitoredProperty, known: Known) -> str:
+        """Return the robots and the values that made a property false."""
         trail: Trail = []
         assert self._found is not None
         make = self._found.step if isinstance(watched.what, Assumption) else self._found.fleet
@@ -286,7 +304,7 @@ class Monitors:
         judged(watched.holds, again)
         return told(trail, self._names)[1]
 
-    def _become(self, watched: Watched, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
+    def _become(self, watched: MonitoredProperty, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
         change = watched.become(outcome, why, self._round, time, stale)
         if change is not None:
             self.verdict = self._demanded()
@@ -300,7 +318,7 @@ class Monitors:
         return Verdict("hold", f"{acting[0].word} is violated") if acting else GO
 
     def report(self) -> dict[str, Any]:
-        """For the status: how many have come to what, and those that are violated."""
+        """Return counts of verdicts and the violated properties, for the status."""
         counts: dict[str, int] = {}
         for watched in self.watched:
             outcome = watched.outcome or "unknown"
@@ -309,7 +327,7 @@ class Monitors:
         return {"counts": counts, "violated": violated}
 
     def summary(self) -> tuple[bool, str]:
-        """At the robot's end: whether any was ever violated, and what all came to; "" without any."""
+        """Return whether any property was ever violated, and all verdicts as text; "" without properties."""
         counts = ", ".join(f"{count} {outcome}" for outcome, count in self.report()["counts"].items())
         broken = [
             f"{w.word}, {w.violations} times" if w.violations > 1 else w.word for w in self.watched if w.violations
@@ -317,19 +335,20 @@ class Monitors:
         return bool(broken), counts + (f"; violated: {'; '.join(broken)}" if broken else "")
 
 
-def _urgency(watched: Watched) -> tuple[bool, int]:
+def _urgency(watched: MonitoredProperty) -> tuple[bool, int]:
     return watched.action == "log", watched.true
 
 
-# What made a property false, in words for people.
+# Explanation of a false property as text.
 
-MOST_READ = 8  # values that are told
-LONGEST = 120  # characters of one of them
+MOST_READ = 8  # values that are shown
+LONGEST = 120  # characters of a value
 
 
 def told(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
-    """The robots that a formula was about when it came out false, and what was bound and read then. `pid` is the robot
-    of an assumption."""
+    """Return the robots concerned, and the values bound and read, when a formula was false.
+
+    `pid` is the robot of an assumption, or -1."""
     bound = [step for step in trail if isinstance(step, Bound)]
     robots = [names[b.value] for b in bound if b.robot and _is_pid(b.value, names)]
     if pid >= 0:
@@ -356,7 +375,7 @@ def _read(read: Read) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as Koord has it, to six digits."""
+    """Return a value in Koord syntax, to six digits."""
     text = _shown(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
 
@@ -380,15 +399,17 @@ def _shown(value: Any) -> str:
             return str(value)
 
 
-# How much of the processor's time something may take that must not be in the way: a share of what all else takes.
+# CPU budget of work with low priority: a share of the CPU time of all other work.
 
 MOST = 0.001  # seconds that can be saved up
-Cpu = Callable[[], float]  # seconds of the processor's time that this thread has had
+Cpu = Callable[[], float]  # seconds of CPU time used by this thread
 
 
-class Allowance:
-    """`begin` and `end` stand around what is paid for. Without a `cpu` there is no bound, as in a simulation, where
-    what a robot does must not depend on the computer."""
+class CpuBudget:
+    """CPU budget. Call `begin` and `end` around the work.
+
+    Without a `cpu` the budget is unlimited, as in a simulation, where a robot's behaviour must not depend on the
+    computer."""
 
     def __init__(self, cpu: Cpu | None, share: float) -> None:
         self._cpu, self._share = cpu, share
@@ -396,7 +417,7 @@ class Allowance:
         self._began = self._ended = 0.0 if cpu is None else cpu()
 
     def begin(self) -> bool:
-        """Whether something is left. Who does nothing then need not say `end`."""
+        """Return whether budget is left. `end` is not needed if no work is done."""
         if self._cpu is None:
             return True
         self._began = self._cpu()
@@ -406,7 +427,7 @@ class Allowance:
 
     @property
     def spent(self) -> bool:
-        """Whether nothing is left."""
+        """True if the budget is used up."""
         return self._cpu is not None and self._cpu() - self._began >= self._left
 
     def end(self) -> None:

@@ -1,9 +1,8 @@
-"""Libraries that are compiled on the robot: once, kept in a cache, called by ctypes or imported.
+"""Loader of libraries that are compiled on the robot: once, cached, then called by ctypes or imported.
 
-A library is loaded from a folder and a file of our own only, which nobody else may write, and only if its content has
-the digest in its name: what is truncated or was changed is compiled anew. Agents that start at the same time on one
-host wait for the first of them, which compiles for all.
-"""
+A library is loaded only from a folder and a file that this user owns and nobody else may write, and only if its content
+has the digest in its name: a truncated or changed file is compiled again. Agents that start at the same time on one
+host wait for the first one, which compiles for all."""
 
 from __future__ import annotations
 
@@ -26,23 +25,22 @@ from typing import Any
 
 COMPILERS = ("cc", "gcc", "clang")
 DIGITS = 32  # of a digest in a file's name
-PATIENCE = 60.0  # seconds that a compiler may take, and that another process is waited for
-LOOKS = 0.01  # seconds between looks whether that one is done
+PATIENCE = 60.0  # seconds for a compiler, and for waiting for another process
+LOOKS = 0.01  # seconds between two checks whether that process is done
 
 
 class NotCompiled(Exception):
-    """A library cannot be had. The message names the library and the reason."""
+    """A library is not available. The message names the library and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Library:
     """Recipe of a library.
 
-    `identity` is all that it is made from: another identity, or another machine, is another library. `write` writes its
-    source into a folder and returns the source's path and the compiler's flags; it may raise NotCompiled. `prove` asks
-    the loaded library something whose answer is known, and raises NotCompiled (or AttributeError: the library lacks a
-    function) if it answers otherwise; such a library is not used. `patience`: seconds that compiling may take.
-    """
+    `identity` is everything that it is made from: another identity, or another machine, is another library. `write`
+    writes the source into a folder and returns its path and the compiler's flags; it may raise NotCompiled. `prove`
+    checks the loaded library with a known answer; it raises NotCompiled, or AttributeError for a missing function, and
+    the library is not used. `patience`: seconds that compiling may take."""
 
     name: str
     identity: bytes
@@ -56,17 +54,16 @@ class Library:
         return None if cache is None or not _private(cache) else self._kept(cache)
 
     def load(self, cache: Path | None = None) -> ctypes.CDLL:
-        """Return the library out of the cache, compiled if need be; without a cache it is compiled at each start.
+        """Return the library from the cache, compiled if needed; without a cache it is compiled at each start.
 
-        Raises NotCompiled. Waits: call it before a control loop begins.
-        """
+        Raises NotCompiled. Blocks: call it before a control loop begins."""
         cache = cache if cache is not None else cache_folder()
         if cache is None or not _private(cache):
             return self._make([None])
         until = time.monotonic() + self.patience
         with _lock(cache) as take:
             while True:
-                # First the lock, then the look: the process that had the lock may have left the library.
+                # Lock before looking: the process that held the lock may have left the library.
                 ours = take() or time.monotonic() >= until
                 if (library := self._kept(cache)) is not None:
                     return library
@@ -79,12 +76,12 @@ class Library:
 
     @property
     def _stem(self) -> str:
-        """The beginning of its files' names."""
+        """Beginning of its file names."""
         digest = sha256(self.identity + b"\0" + platform.machine().encode()).hexdigest()
         return f"{self.name}-{digest[:16]}"
 
     def _kept(self, cache: Path) -> ctypes.CDLL | None:
-        """Return the library in the cache, or None. Damaged files are deleted."""
+        """Return the cached library, or None. Damaged files are deleted."""
         for path in sorted(cache.glob(f"{self._stem}-*.so")):
             with suppress(NotCompiled, OSError):
                 if _sound(path):
@@ -94,7 +91,7 @@ class Library:
         return None
 
     def _make(self, places: Sequence[Path | None]) -> ctypes.CDLL:
-        """Compile in the first of these folders that can be written. None stands for the system's temporary folder."""
+        """Compile in the first folder that can be written; None is the system's temporary folder."""
         why = ""
         for place in places:
             try:
@@ -104,11 +101,11 @@ class Library:
         raise self.fails(why)
 
     def _make_in(self, place: Path | None) -> ctypes.CDLL:
-        """Compile in a new folder in `place`, and leave the library there for the next time."""
+        """Compile in a new folder in `place`, and cache the library there."""
         folder = Path(tempfile.mkdtemp(prefix="compiling-", dir=place))
         try:
             path = self._compile(folder)
-            library = self._proven(path)  # it stays in memory when its file goes
+            library = self._proven(path)  # it stays in memory when its file is deleted
             if place is not None:
                 digest = sha256(path.read_bytes()).hexdigest()[:DIGITS]
                 with suppress(OSError):
@@ -124,7 +121,8 @@ class Library:
             raise self.fails(f"there is no C compiler ({', '.join(COMPILERS)})")
         source, flags = self.write(folder)
         library = folder / f"{self.name}.so"
-        command = [compiler, "-o", str(library), str(source), *flags]  # linkers want libraries after what needs them
+        # linkers expect libraries after the objects that use them
+        command = [compiler, "-o", str(library), str(source), *flags]
         try:
             done = subprocess.run(
                 command, stdin=subprocess.DEVNULL, capture_output=True, timeout=self.patience, cwd=folder, check=False
@@ -164,14 +162,14 @@ def load(
 
 
 class Compiled:
-    """The library of one C file, loaded at its first use in a process: not in a control loop (see `load`)."""
+    """Library of one C file, loaded at its first use in a process. Not in a control loop (see `load`)."""
 
     def __init__(self, source: Path, flags: Sequence[str], prove: Callable[[ctypes.CDLL], None]) -> None:
         self._given = source, flags, prove
 
     @cached_property
     def found(self) -> ctypes.CDLL | str:
-        """The library, or the reason why there is none."""
+        """The library, or the reason why it is missing."""
         try:
             return load(*self._given)
         except NotCompiled as error:
@@ -182,22 +180,25 @@ class Compiled:
         return None if isinstance(self.found, str) else self.found
 
     def why(self) -> str:
-        """Return why there is no library; empty if there is one."""
+        """Return why the library is missing; "" if it is not."""
         return self.found if isinstance(self.found, str) else ""
 
 
 def declare(found: ctypes.CDLL, prefix: str, functions: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
-    """Declare what functions, by their names behind the prefix, return and take. AttributeError: one is missing."""
+    """Declare result and argument types of functions by prefix and name.
+
+    Raises AttributeError for a missing one."""
     for name, (result, arguments) in functions.items():
         function = getattr(found, prefix + name)
         function.restype, function.argtypes = result, arguments
 
 
 def cache_folder() -> Path | None:
-    """Return where libraries are kept: `koordgen` in the user's cache folder. None if the user has none.
+    """Return the folder of cached libraries.
 
-    Not beside the bundle: in the simulator that is a folder of a bundle, which must contain nothing but its own files.
-    """
+    `koordgen` in the user's cache folder, or None if there is none.
+
+    Not beside the bundle: in the simulator that folder belongs to a bundle, which must contain only its own files."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     try:
         return Path(given if os.path.isabs(given) else Path.home() / ".cache") / "koordgen"
@@ -206,18 +207,17 @@ def cache_folder() -> Path | None:
 
 
 def can_keep() -> bool:
-    """Return whether this user can keep libraries in its cache folder."""
+    """Return whether this user can cache libraries."""
     cache = cache_folder()
     return cache is not None and _private(cache) and os.access(cache, os.W_OK)
 
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[Callable[[], bool]]:
-    """Yield a function that tries to become the only process that compiles into the folder, until the block ends.
+    """Yield a function that tries to lock the folder for compilation, until the block ends.
 
-    A killed process is that no longer. On a file system without locks every process is, which costs time and does no
-    harm.
-    """
+    The right of a killed process is released. On a file system without locks every process gets it, which only costs
+    time."""
     try:
         handle = os.open(folder, os.O_RDONLY)
     except OSError:
@@ -244,7 +244,7 @@ def _told(error: OSError, place: Path | None) -> str:
 
 
 def _private(folder: Path) -> bool:
-    """Return whether the folder exists or could be made, is ours, and cannot be written by others."""
+    """Return whether the folder exists or was created, and only this user may write it."""
     with suppress(OSError):  # there already, or cannot be made
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700)
@@ -255,11 +255,15 @@ def _private(folder: Path) -> bool:
 
 
 def _ours(path: Path) -> bool:
-    """Return whether a file is ours and nobody else may write it. A link never is: all may write one."""
+    """Return whether a file belongs to this user and nobody else may write it.
+
+    False for a link: all may write it."""
     found = path.lstat()
     return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _sound(path: Path) -> bool:
-    """Return whether a library is ours and the file that was written: loading a truncated one would end the process."""
+    """Return whether a library belongs to this user and is undamaged.
+
+    Loading a truncated one ends the process."""
     return _ours(path) and path.stem.endswith("-" + sha256(path.read_bytes()).hexdigest()[:DIGITS])

@@ -1,11 +1,10 @@
-"""The shared memory's modules as a compiled library: the same Python, translated to C by mypyc.
+"""Compiled modules of the shared memory: the same Python code, translated to C by mypyc.
 
-There is one implementation: the Python modules in MODULES. A robot whose rounds take too much of its processor can run
-them compiled (`python3 <bundle> --compile`, once). Each later start finds the library in the cache, if it was made from
-exactly these sources for exactly this Python, and imports from it; otherwise Python interprets the modules, which is
-slower and the same. msgspec's classes (in `net.wire` and `replication.messages`) stay interpreted: mypyc cannot
-translate them.
-"""
+There is one implementation: the Python modules in MODULES. A robot whose rounds take too much CPU time can compile them
+(`python3 <bundle> --compile`, once). Each later start looks for the library in the cache, made from exactly these
+sources for exactly this Python, and imports from it. Otherwise Python interprets the modules, with the same results,
+but slower. msgspec's classes (in `net.wire` and `replication.messages`) stay interpreted: mypyc cannot translate
+them."""
 
 from __future__ import annotations
 
@@ -32,17 +31,17 @@ MODULES = (
         "state_machine", "views",
     )),
     *(f"koordgen.runtime.net.{name}" for name in (
-        "assembly", "codec", "fragments", "layout", "link", "metrics", "patch", "seal", "sessions", "speech",
+        "assembly", "codec", "fragments", "layout", "link", "metrics", "patch", "seal", "sender", "sessions",
         "udp",
     )),
-    *(f"koordgen.runtime.agent.{name}" for name in ("keeping", "rounds", "store")),
+    *(f"koordgen.runtime.agent.{name}" for name in ("persistence", "rounds", "checkpoint")),
     "koordgen.runtime.values.clock",
 )  # fmt: skip
 GROUP = "koordgen_protocol"  # mypyc's name of the library; GROUP__mypyc is the module that all others need
 PATIENCE = 900.0  # seconds: a small computer takes minutes
 FLAGS = ("-O1", "-shared", "-fPIC", "-fwrapv", "-w", "-DNDEBUG", "-fvisibility=hidden", "-fno-semantic-interposition")
 INSTALL_MYPYC = "install it for this Python: `pip install 'mypy[mypyc]'`"
-# The child's first folder is the bundle, which contains files of any name: mypy's modules must not be found there.
+# The first entry of the child's path is the bundle, which may contain any file names: mypy must not import from it.
 _TRANSLATE = f"""
 import sys
 sys.path.pop(0)
@@ -62,13 +61,12 @@ for name in sys.argv[2:]:
 
 
 def use(modules: Sequence[str] = MODULES) -> bool:
-    """Let Python import the compiled modules, if they are in the cache. Return whether they are.
+    """Make Python import the compiled modules, if they are cached. Return whether they are.
 
-    Call it before any of them is imported.
-    """
+    Call it before any of the modules is imported."""
     try:
         found = _library(modules).find()
-    except OSError:  # a source cannot be read: importing it raises an error that names it
+    except OSError:  # a source that cannot be read: importing it raises an error that names it
         return False
     if found is None:
         return False
@@ -82,17 +80,16 @@ def is_used() -> bool:
 
 
 def compile_modules(modules: Sequence[str] = MODULES) -> Path:
-    """Compile the modules, if that has not been done, and return the path of the library.
+    """Compile the modules unless they are cached. Return the library's path.
 
-    Takes a minute, on a small computer several, and half a gigabyte of memory. Raises NotCompiled.
-    """
+    Takes a minute, several on a small computer, and half a gigabyte of memory. Raises NotCompiled."""
     library = _library(modules)
     if not can_keep():
-        raise library.fails("there is no folder to keep it in: let this user write to its cache folder, ~/.cache")
+        raise library.fails("no cache folder: let this user write to its cache folder, ~/.cache")
     library.load()
     found = library.find()
     if found is None:
-        raise library.fails("there is no room to keep it: make some in this user's cache folder, ~/.cache")
+        raise library.fails("the cache is full: free space in this user's cache folder, ~/.cache")
     path = Path(found._name)
     command = [sys.executable, "-c", _IMPORT, str(ROOT), *modules]
     tried = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
@@ -124,10 +121,9 @@ def _library(modules: Sequence[str]) -> Library:
 
 
 def _identity(modules: Sequence[str]) -> bytes:
-    """Return a digest of all that the library depends on.
+    """Return a digest of everything that the library depends on.
 
-    That is the whole runtime, not only the modules: mypyc writes constants and types of other modules into the code.
-    """
+    This is the whole runtime, not only the modules: mypyc writes constants and types of other modules into the code."""
     paths = sorted({*ROOT.joinpath("koordgen/runtime").rglob("*.py"), *(ROOT / _path(name) for name in modules)})
     digest = sha256(" ".join([sysconfig.get_config_var("SOABI") or sys.version, *modules, *FLAGS]).encode())
     for path in paths:
@@ -154,7 +150,7 @@ def _translate(modules: Sequence[str], folder: Path) -> tuple[Path, Sequence[str
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False
         )
     except subprocess.TimeoutExpired:
-        raise fails(f"mypyc was not done after {PATIENCE:.0f} s") from None
+        raise fails(f"mypyc did not finish within {PATIENCE:.0f} s") from None
     if done.returncode:
         raise fails(f"mypyc failed with status {done.returncode}: {_last_line(done.stdout + done.stderr)}")
     source = folder / "all.c"
@@ -166,7 +162,7 @@ def _translate(modules: Sequence[str], folder: Path) -> tuple[Path, Sequence[str
 
 
 def _prove(modules: Sequence[str], found: ctypes.CDLL) -> None:
-    """Look for the modules in the library. Raises AttributeError if one is not there."""
+    """Check that the library has the modules. Raises AttributeError for a missing one."""
     for name in modules:
         getattr(found, f"PyInit_{_short(name)}")
 

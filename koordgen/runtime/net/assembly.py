@@ -1,4 +1,4 @@
-"""Reassembly of entries that are longer than a datagram: one entry of each author at a time."""
+"""Reassembly of entries that are longer than a datagram: at most one entry per author at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Begun:
 
 
 class Assembly:
-    """Entries of which some fragments are here, by author."""
+    """Partly received entries, by author."""
 
     def __init__(self) -> None:
         self._begun: dict[int, _Begun] = {}
@@ -29,17 +29,16 @@ class Assembly:
         self._begun.clear()
 
     def received(self) -> tuple[HeldFragments, ...]:
-        """Return which fragments are here, for robots that are asked for the others."""
+        """Return the fragments received, for a request of the missing ones."""
         begun = [
             HeldFragments(author, b.round, b.fragments.name, b.fragments.mask) for author, b in self._begun.items()
         ]
         return tuple(begun[:MOST_HELD])
 
     def take(self, fragment: Fragment, wanted: Callable[[int, int], bool]) -> Entry | str | None:
-        """Take a fragment. Return the entry once it is complete, or why the fragment is refused.
+        """Add a fragment. Return the entry once it is complete, or why the fragment is refused.
 
-        `wanted` returns whether the entry of an author and round would be new.
-        """
+        `wanted` returns whether the entry of an author and round is needed."""
         author = fragment.author
         if not wanted(author, fragment.round):
             return None
@@ -48,7 +47,7 @@ class Assembly:
             known = _Begun(fragment.incarnation, fragment.round, Reassembly(fragment.digest, fragment.count))
             self._begun[author] = known
         if (known.incarnation, known.round) != (fragment.incarnation, fragment.round):
-            return None  # one at a time; it will be asked for again
+            return None  # one entry at a time; the other will be requested again
         refused = known.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
         if refused is not None:
             return refused

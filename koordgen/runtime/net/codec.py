@@ -1,8 +1,7 @@
 """Codec of the wire format: messages to sealed datagrams and back.
 
 A datagram is one byte `WIRE_FORMAT`, a tagged MessagePack array (one of Message), and the MAC of `seal`; at most LIMIT
-bytes. It stands apart from `wire` because it can be compiled, and msgspec's structs cannot.
-"""
+bytes. It is separate from `wire` because it can be compiled, and msgspec's structs cannot."""
 
 from __future__ import annotations
 
@@ -49,10 +48,9 @@ def encode(message: Message, key: bytes | None) -> bytes:
 
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
-    """Return the message in a datagram, or why there is none. Nothing is read before its MAC was verified.
+    """Return the message of a datagram, or why it is refused. Nothing is read before its MAC was verified.
 
-    Never raises. An entry keeps the payload that it arrived in alive; slices of a view would keep three objects.
-    """
+    Never raises. An entry keeps the payload that it arrived in alive; slices of a view would keep three objects."""
     return decoder(key)(datagram)
 
 

@@ -1,11 +1,10 @@
-"""Fleet clock: the time that the reference keeps, the lowest pid of the present view.
+"""Fleet clock: the time of the reference robot, which has the lowest pid of the present view.
 
 Local clocks are monotonic seconds of unknown origin, at most CRYSTAL off the true rate. An exchange with a peer (a
-datagram out, and the echo of it back) has four stamps. As nothing arrives before it was sent, they hold the offset
-between the two local clocks from both sides, however unequal the two delays are; the middle is off by half of the
-shortest round trip at most. The peer says how far fleet time is from its local time, and that is constant for the
-reference.
-"""
+datagram to it, and its echo back) has four time stamps. As no datagram arrives before it was sent, they bound the
+offset between the two local clocks from both sides, however unequal the two delays are. The middle of the bounds is off
+by at most half of the shortest round trip. The peer reports the offset of fleet time to its local time, which is
+constant for the reference."""
 
 from __future__ import annotations
 
@@ -15,21 +14,23 @@ from math import copysign, inf
 from typing import NamedTuple
 
 CRYSTAL = 100e-6
-DRIFT = 2 * CRYSTAL  # two of them, running apart
-MOST_DRIFT = 500e-6  # no estimate goes beyond it
-WANDER = 10e-6  # how far the present rate may be from the mean one of the last SLOTS * SLOT seconds
-SLOT = 16.0  # seconds of which the best edges are kept
+DRIFT = 2 * CRYSTAL  # of two clocks relative to each other
+MOST_DRIFT = 500e-6  # bound of every estimate
+WANDER = 10e-6  # bound of the difference between the present rate and the mean rate of the last SLOTS * SLOT seconds
+SLOT = 16.0  # seconds; the best bounds of each slot are kept
 SLOTS = 32
-APART = 5.0  # seconds between two edges that say something about the rate
+APART = 5.0  # seconds between two bounds that yield an estimate of the rate
 ROUNDING = 2e-6  # stamps are whole microseconds
-SLEW = 0.05  # the share of elapsed time by which a locked clock may be corrected: keeps it monotonic, no round jumps
-FRESH = 0.02  # seconds for which an estimate is taken as it is: two clocks part by four microseconds at most
-STEP = 0.1  # seconds: what would take longer than STEP / SLEW to make good is no error of an estimate
+# share of elapsed time by which a locked clock is corrected at most: keeps it monotonic, so rounds never jump
+SLEW = 0.05
+FRESH = 0.02  # seconds for which an estimate is reused: two clocks drift apart by at most four microseconds
+STEP = 0.1  # seconds: a deviation that needs longer than STEP / SLEW to correct is no error of estimation
 
 
 class _Edges(NamedTuple):
-    """The peer's clock is ahead of ours by at least `low`, at local time `low_at`, and by at most `high`, at `high_at`:
-    of an exchange, or the best of many."""
+    """Bounds of the peer's clock relative to this one, from one exchange or the best of several.
+
+    The peer is ahead by at least `low` (valid at local time `low_at`), and by at most `high` (valid at `high_at`)."""
 
     low_at: float
     low: float
@@ -37,7 +38,7 @@ class _Edges(NamedTuple):
     high: float
 
     def merged(self, other: _Edges, rates: tuple[float, float]) -> _Edges:
-        """The better one on either side; which it is does not depend on the time."""
+        """Return the tighter bound on each side; which one is tighter does not depend on the time."""
         low_at, low, high_at, high = self
         if other.low >= low + rates[0] * (other.low_at - low_at):
             low_at, low = other.low_at, other.low
@@ -50,39 +51,40 @@ class _Edges(NamedTuple):
         return low + rates[0] * (now - low_at), high + rates[1] * (now - high_at)
 
 
-class _Peer:
-    """What exchanges tell of one peer's clock: the best edges of every SLOT seconds, and the rates they allow.
+class _PeerClock:
+    """Estimate of one peer's clock: the best bounds of every SLOT seconds, and the rates that they allow.
 
-    `fleet` is the peer's fleet time less its local time, as it said last, no earlier than at our local time `said`.
-    """
+    `fleet` is the peer's fleet time minus its local time, as last reported, no earlier than at local time `said`."""
 
     def __init__(self) -> None:
         self.fleet: float | None = None
         self.said = -inf
-        self.rates = (-DRIFT, DRIFT)  # the peer's rate less ours lies between
+        self.rates = (-DRIFT, DRIFT)  # bounds of the peer's rate minus this clock's rate
         self._slots: deque[_Edges] = deque(maxlen=SLOTS)
-        self._number = 0.0  # of the last slot
+        self._number = 0.0  # number of the last slot
         self._best: _Edges | None = None
-        self._odd: _Peer | None = None
+        self._odd: _PeerClock | None = None
 
     def limits(self, now: float) -> tuple[float, float]:
-        """The least and the most by which the peer's clock is ahead of ours."""
+        """Return bounds of the time by which the peer's clock is ahead of this one."""
         return (-inf, inf) if self._best is None else self._best.on(now, self.rates)
 
-    def take(self, edges: _Edges, fleet: float | None) -> _Peer:
-        """The peer as it is known now. It begins anew when two exchanges in a row agree with each other and not with
-        what was known: one of the two machines was suspended, or the peer's was restarted."""
+    def take(self, edges: _Edges, fleet: float | None) -> _PeerClock:
+        """Add an exchange. Return the estimate to use from now on.
+
+        A new estimate begins when two successive exchanges agree with each other but not with the old one: one of the
+        machines was suspended, or the peer's was restarted."""
         if self._add(edges, fleet):
             self._odd = None
             return self
         if self._odd is None or not self._odd._add(edges, fleet):
-            self._odd = _Peer()
+            self._odd = _PeerClock()
             self._odd._add(edges, fleet)
             return self
         return self._odd
 
     def _add(self, edges: _Edges, fleet: float | None) -> bool:
-        """False, and nothing is changed, if it contradicts what is known."""
+        """Add an exchange. Return False, without a change, if it contradicts the estimate."""
         now = edges.low_at
         best = edges if self._best is None else self._best.merged(edges, self.rates)
         low, high = best.on(now, self.rates)
@@ -101,7 +103,7 @@ class _Peer:
         return True
 
     def _learn(self, now: float) -> None:
-        """The rates, from edges of the older and of the newer slots, and what is the best edge by them."""
+        """Estimate the rates from bounds of older and newer slots, and the best bounds under these rates."""
         half = len(self._slots) // 2
         slots = list(self._slots)
         slowest, fastest = -inf, inf
@@ -119,53 +121,57 @@ class _Peer:
         low, high = self._best.on(now, self.rates)
         if (
             slowest > fastest or low > high
-        ):  # the rate has changed by more than WANDER: only the newest edges tell of it
+        ):  # the rate has changed by more than WANDER: only the newest bounds are valid
             self.rates = (-DRIFT, DRIFT)
             self._slots = deque(slots[-1:], maxlen=SLOTS)
             self._best = slots[-1]
 
 
 class FleetClock:
-    """Fleet time on robot `pid`. Until `lock` it steps to the best estimate; from then on it slews, and never goes
-    back; only what it lags behind by more than STEP it makes good at once.
+    """Fleet time on robot `pid`.
 
-    Robot 0 is the reference at first, and fleet time its local time. A robot that becomes the reference goes on from
-    its own estimate, at the rate of its own clock; the others follow it, and `bound` is about its fleet time.
-    """
+    Before `lock` it steps to the best estimate. Afterwards it slews and never goes back; only a lag above STEP is
+    corrected at once.
+
+    Robot 0 is the first reference, and fleet time its local time. A robot that becomes the reference continues its own
+    estimate at the rate of its own clock. The others follow it, and `bound` refers to its fleet time."""
 
     def __init__(self, pid: int) -> None:
         self.reference = 0
-        self.breaks = 0  # times that the reference's clock, or ours, turned out to have another origin than before
+        self.breaks = 0  # number of times that the reference's clock, or this one, changed its origin
         self._pid = pid
-        self._exchanges: dict[int, _Peer] = {}
+        self._exchanges: dict[int, _PeerClock] = {}
         self._known = pid == self.reference
         self._followed = -inf
         self._offset = 0.0
         self._locked = False
-        self._estimated = -inf  # when the estimate was last looked at, and was reached
+        self._estimated = -inf  # time when the estimate was last computed and reached
         self._last = -inf
 
     @property
     def known(self) -> bool:
-        """Whether there is an estimate at all."""
+        """True if there is an estimate."""
         return self._known
 
     @property
     def drift(self) -> float:
-        """The reference's rate less ours, as a share of it."""
+        """The reference's rate minus this clock's rate, as a share of it."""
         peer = self._exchanges.get(self.reference)
         return 0.0 if peer is None or self.reference == self._pid else sum(peer.rates) / 2
 
     def bound(self, now: float) -> float:
-        """How far fleet time may be off at local time `now`, in seconds; infinite as long as nothing was heard of the
-        reference. It does not foresee that a machine is suspended: two exchanges later it is right again."""
+        """Return a bound of the error of fleet time at local time `now` (s).
+
+        Inf without data of the reference.
+
+        It does not foresee a suspended machine; two exchanges later it is right again."""
         if self.reference == self._pid:
             return 0.0
         estimate = self._estimate(now)
         return inf if estimate is None else estimate[1] + abs(estimate[0] - self._offset)
 
     def offset(self, now: float) -> float | None:
-        """Seconds to be added to the local clock for fleet time, for others to know; None while nothing is known."""
+        """Return fleet time minus local time (s), for messages to others; None if unknown."""
         if not 0.0 <= now - self._estimated < FRESH or now < self._last:
             self.read(now)
         else:
@@ -173,25 +179,27 @@ class FleetClock:
         return self._offset if self._known else None
 
     def follow(self, reference: int, now: float) -> None:
-        """From now on the fleet's time is this robot's. Exchanges with it from before count."""
+        """Follow another reference robot from now on. Earlier exchanges with it count."""
         if reference == self.reference:
             return
         self.read(now)
         if self.reference == self._pid and not self._locked:
-            self._known = False  # it was nobody's time but ours
+            self._known = False  # this time was never shared with another robot
         self.reference = reference
         self._followed = now
         self._estimated = -inf
         self._known = self._known or reference == self._pid or self._estimate(now) is not None
 
     def take(self, peer: int, sent: float, received: float, answered: float, now: float, fleet: float | None) -> bool:
-        """Learn from an exchange with a peer: sent and back (`now`) by the local clock, received and answered by the
-        peer's; `fleet` is the peer's `offset`. False for stamps that no honest exchange yields."""
+        """Add an exchange with a peer. Return False for stamps that no honest exchange yields.
+
+        `sent` and `now` (back) are times of the local clock, `received` and `answered` of the peer's; `fleet` is the
+        peer's `offset`."""
         edges = _Edges(now, answered - now - ROUNDING, sent, received - sent + ROUNDING)
         low, high = edges.on(now, (-DRIFT, DRIFT))
         if not (peer != self._pid and sent <= now and received <= answered and low <= high):
             return False
-        before = self._exchanges.get(peer) or _Peer()
+        before = self._exchanges.get(peer) or _PeerClock()
         after = self._exchanges[peer] = before.take(edges, fleet)
         self._estimated = -inf
         if peer == self.reference:
@@ -200,11 +208,11 @@ class FleetClock:
         return True
 
     def lock(self) -> None:
-        """The mission's start is fixed: no more steps back."""
+        """Forbid steps back: the mission's start is fixed."""
         self._locked = True
 
     def read(self, now: float) -> float:
-        """Fleet time at local time `now`; never decreases once locked, as long as `now` does not."""
+        """Return the fleet time at local time `now`. Once locked, it never decreases unless `now` does."""
         if 0.0 <= now - self._estimated < FRESH:
             if now > self._last:
                 self._last = now
@@ -217,20 +225,21 @@ class FleetClock:
                 most = SLEW * max(0.0, now - self._last)
                 if abs(wanted) > most:
                     wanted = copysign(most, wanted)
-                    self._estimated = -inf  # what is not reached yet is made good from one reading to the next
+                    self._estimated = -inf  # the rest is corrected by later calls
             self._offset += wanted
         self._last = max(self._last, now)
         return now + self._offset
 
     def local(self, fleet: float) -> float:
-        """The local time at which fleet time will be `fleet`, as far as is known now."""
+        """Return the local time at which fleet time will be `fleet`, by the present estimate."""
         return fleet - self._offset
 
     def _estimate(self, now: float) -> tuple[float, float] | None:
-        """Fleet time less local time by what the reference said, and how far off that may be."""
+        """Return fleet time minus local time as the reference reported it, and a bound of its error."""
         peer = self._exchanges.get(self.reference)
         if peer is None or peer.fleet is None or self.reference == self._pid:
             return None
         low, high = peer.limits(now)
-        moved = SLEW * max(0.0, now - peer.said) if peer.said < self._followed else 0.0  # while it still followed
+        # the peer itself still followed another reference
+        moved = SLEW * max(0.0, now - peer.said) if peer.said < self._followed else 0.0
         return peer.fleet + (low + high) / 2, (high - low) / 2 + moved

@@ -1,8 +1,7 @@
-"""Fragments: what is longer than a datagram is cut, and reassembled in whatever order the fragments arrive.
+"""Fragments: a blob longer than a datagram is split, and reassembled in any order of arrival.
 
-A receiver that lacks some fragments reports which ones it has, so only the others are repeated. Nothing that a peer
-sends raises, or makes a robot keep more than MOST_FRAGMENTS fragments of at most LIMIT bytes for one blob.
-"""
+A receiver that lacks fragments reports those that it has, so only the others are repeated. No input raises, or makes a
+robot store more than MOST_FRAGMENTS fragments of at most LIMIT bytes for one blob."""
 
 from __future__ import annotations
 
@@ -10,11 +9,11 @@ from hashlib import blake2s
 
 from koordgen.runtime.net.wire import LIMIT, MOST_FRAGMENTS
 
-Cut = tuple[bytes, int, int, bytes]  # the blob's digest, the fragment's number, how many there are, its data
+Cut = tuple[bytes, int, int, bytes]  # digest of the blob, number of the fragment, number of fragments, data
 
 
 def digest(blob: bytes) -> bytes:
-    """Eight bytes that name a blob."""
+    """Return eight bytes that identify a blob."""
     return blake2s(blob, digest_size=8, person=b"k-piece").digest()
 
 
@@ -31,10 +30,9 @@ def cut(blob: bytes, room: int) -> list[Cut]:
 
 
 def lacking(count: int, mask: bytes) -> list[int]:
-    """Return the numbers of the fragments that are not in a mask, ascending.
+    """Return the numbers of the fragments that a mask lacks, ascending.
 
-    Bit i of byte i // 8 of the mask stands for fragment i. A mask may be shorter than `count`, or longer.
-    """
+    Bit i of byte i // 8 of the mask stands for fragment i. A mask may be shorter or longer than `count`."""
     held = int.from_bytes(mask, "little")
     return [i for i in range(count) if not held >> i & 1]
 
@@ -42,18 +40,17 @@ def lacking(count: int, mask: bytes) -> list[int]:
 class Reassembly:
     """Fragments of one blob, as they arrive.
 
-    The first one names the blob and the count; fragments that disagree with it are refused. All fragments but the last
-    have one length; the last one is no longer than that.
-    """
+    The first one determines digest and count; fragments that differ from it are refused. All fragments but the last
+    have one length; the last one is not longer."""
 
     def __init__(self, name: bytes, count: int) -> None:
         self.name = name
         self.count = count
-        self._room = 0  # the length of all fragments but the last; 0 until one of them is here
+        self._room = 0  # length of all fragments but the last; 0 until one of them has arrived
         self._parts: dict[int, bytes] = {}
 
     def take(self, fragment: Cut) -> str | None:
-        """Take a fragment. Return None, or why it is refused. A known one is no error."""
+        """Add a fragment. Return None, or why it is refused. A known fragment is no error."""
         name, index, count, data = fragment
         if name != self.name or count != self.count:
             return "fragment of something else"
@@ -66,7 +63,7 @@ class Reassembly:
         return None
 
     def blob(self) -> bytes | None:
-        """Return the blob once all fragments are here. If it does not have the digest, drop them all."""
+        """Return the blob once all fragments have arrived. If its digest is wrong, drop them all."""
         if len(self._parts) < self.count or not self._parts:
             return None
         whole = b"".join(self._parts[i] for i in range(self.count))
@@ -78,12 +75,12 @@ class Reassembly:
 
     @property
     def mask(self) -> bytes:
-        """Which fragments are here, as `lacking` reads it."""
+        """Mask of the fragments received, as `lacking` reads it."""
         held = sum(1 << i for i in self._parts)
         return held.to_bytes((held.bit_length() + 7) // 8, "little")
 
     def _even(self, index: int, length: int) -> bool:
-        """Return whether a fragment's length agrees with those of the fragments that are here."""
+        """Return whether a fragment's length agrees with those received."""
         if index == self.count - 1:
             return not self._room or length <= self._room
         last = self._parts.get(self.count - 1, b"")

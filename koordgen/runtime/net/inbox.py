@@ -1,8 +1,7 @@
-"""Socket batch I/O of one robot: waiting for datagrams, receiving them by the batch, sending.
+"""Socket batch I/O of one robot: waiting for datagrams, receiving them in batches, sending.
 
-`PythonInbox` is the implementation in Python and documents the interface. `courier.CompiledInbox` is the same in C;
-`open_inbox` alone chooses between the two.
-"""
+`PythonInbox` is the implementation in Python and documents the interface. `socket_batch.CompiledInbox` is the same in
+C. Only `open_inbox` chooses between the two."""
 
 from __future__ import annotations
 
@@ -15,29 +14,28 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-NAP = 20e-6  # seconds slept for each datagram that is missing
+NAP = 20e-6  # seconds of sleep for each missing datagram
 
 
 class Inbox(Protocol):
-    """Of one thread. No call raises."""
+    """Interface of batch I/O. For one thread. No call raises."""
 
     def address(self, place: int, address: Address) -> None:
         """Set the address of a place: a robot's pid, or GROUP."""
         ...
 
     def send(self, place: int, datagram: bytes) -> int:
-        """Send from the first socket, without blocking. Returns 0, or errno: it was not sent.
+        """Send from the first socket without blocking. Return 0, or the errno of the failure.
 
-        A datagram to the group comes back once, and the inbox drops it then. After such a send the inbox yields the
-        core if it `shares` the computer with other robots: all wait for the last of them.
-        """
+        A datagram to the group also comes back to the sender; the inbox drops that copy. After such a send the inbox
+        yields the core if it `shares` the computer with other robots: all wait for the last of them."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """See Transport. What comes while the time runs out may be left for the next call."""
+        """See Transport. A datagram that arrives just before the time runs out may be left for the next call."""
         ...
 
     def receive(self) -> list[bytes]:
@@ -50,22 +48,22 @@ class Inbox(Protocol):
 
 
 def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool) -> Inbox:
-    """Return the inbox of non-blocking sockets: in C where it can be compiled.
+    """Return the inbox of non-blocking sockets: in C if it can be compiled.
 
-    `trouble` gets the errno of each failure to receive. `shares`: other robots of the group are on this computer.
-    """
-    found = courier.COMPILED.library()
+    `trouble` receives the errno of each failure to receive. `shares`: other robots of the group run on this
+    computer."""
+    found = socket_batch.COMPILED.library()
     if found is None:
         return PythonInbox(sockets, trouble, shares)
-    return courier.CompiledInbox(found, sockets, trouble, shares)
+    return socket_batch.CompiledInbox(found, sockets, trouble, shares)
 
 
 PYTHON_COSTS = "sockets are read by Python: a round takes about 10 % more CPU, a round trip 2 to 3 times as long"
 
 
 def accelerator() -> str:
-    """Return why inboxes are not in C; empty when they are. The first call in a process may compile for 0.3 s."""
-    return courier.COMPILED.why()
+    """Return why inboxes are not in C; "" if they are. The first call in a process may compile for 0.3 s."""
+    return socket_batch.COMPILED.why()
 
 
 class PythonInbox:
@@ -90,13 +88,13 @@ class PythonInbox:
             return errno.EBADF
         if place not in self._addresses:
             return errno.EDESTADDRREQ
-        if place == GROUP:  # also when it fails: the system may have returned it by then
+        if place == GROUP:  # also if sending fails: the system may have returned the copy by then
             self._echoes.append(datagram)
         try:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # all wait for the last robot on this core that has not sent
+        if place == GROUP and self._shares:  # all robots wait for the last one on this core that has not sent
             os.sched_yield()
         return 0
 
@@ -129,8 +127,8 @@ class PythonInbox:
         return bool(self._arrived) or self._troubled
 
     def _ready(self, seconds: float) -> bool:
-        """Return whether a datagram is at a socket within that time."""
-        # poll takes milliseconds and rounds up: the last of them is select's, or rounds would begin late.
+        """Return whether a datagram arrives at a socket within `seconds`."""
+        # poll rounds up to milliseconds: use select for the last one, or rounds would begin late.
         end = time.monotonic() + seconds
         if seconds >= 0.001 and self._poll.poll(int(seconds * 1000)):
             return True
@@ -146,7 +144,7 @@ class PythonInbox:
                 self._read(self._sockets[number])
 
     def _read(self, source: socket.socket) -> None:
-        """Receive what waits at one socket, at most IN_TURN datagrams: then it is another socket's turn."""
+        """Receive from one socket, at most IN_TURN datagrams, before other sockets are served."""
         try:
             for _ in range(min(IN_TURN, MOST_AT_ONCE - len(self._arrived))):
                 datagram = source.recv(LARGEST)
@@ -154,12 +152,12 @@ class PythonInbox:
                     self._arrived.append(datagram)
         except BlockingIOError:
             pass
-        except OSError as error:  # of an earlier send; it says nothing about what waits
+        except OSError as error:  # error of an earlier send; more datagrams may wait
             self._troubled = True
             self._trouble(error.errno or 0)
 
     def _is_echo(self, datagram: bytes) -> bool:
-        """Return whether a datagram is our own. Each comes back once, and no two are alike."""
+        """Return whether a datagram is the copy of an own one. Each comes back once, and no two are equal."""
         if datagram not in self._echoes:
             return False
         self._echoes[self._echoes.index(datagram)] = None

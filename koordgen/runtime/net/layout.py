@@ -1,4 +1,4 @@
-"""How a program's shared variables lie on the wire: their indices, types, first values and greatest lengths."""
+"""Wire layout of a program's shared variables: indices, types, initial values and maximal lengths."""
 
 from __future__ import annotations
 
@@ -16,29 +16,28 @@ from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
 
 MOST_ENTRY = 128 * 1024  # bytes of one robot's entry of one round
-MOST_SHARED = 256  # variables: so many writes an entry may have
-PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference would cost more than it saves on the air
+MOST_SHARED = 256  # most variables, and so most writes of an entry
+PATCH_FROM = 256  # bytes: a shorter value is sent whole; computing a patch would cost more than it saves on the air
 
 _ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
-_PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
+_PLAIN = str, int, float, bool  # types whose values any encoding returns unchanged
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
 
 class TooLarge(Exception):
-    """What a robot may write in one round, or what all of them hold, is more than can be sent; or there are too many
-    robots or variables."""
+    """Too large to be sent: writes of one round, or the whole store; or too many robots or variables."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unpatched:
-    """A written value of which only the difference to the round's first value came: see `resolve`."""
+    """Written value that was received as a patch to the round's first value: see `resolve`."""
 
     patch: bytes
 
 
 class Layout:
-    """The shared variables of one program in a fleet of `n_sys`. Raises TooLarge."""
+    """Shared variables of one program in a fleet of `n_sys` robots. Raises TooLarge."""
 
     def __init__(self, shared: Sequence[Variable], n_sys: int) -> None:
         self.n_sys = n_sys
@@ -68,19 +67,19 @@ class Layout:
 
     @property
     def entry_bytes(self) -> int:
-        """The most bytes of an encoded entry."""
+        """Maximal length of an encoded entry, in bytes."""
         return _ENTRY + sum(_WRITE + v.bound.bytes for v in self._shared)
 
     @property
     def snapshot_bytes(self) -> int:
-        """The most bytes of an encoded State."""
+        """Maximal length of an encoded snapshot, in bytes."""
         n, array = self.n_sys, 1 if self.n_sys < 16 else 3
         view = 1 + 2 * 9 + array + 9 * n
         beside = 1 + view + 9 + (1 if len(self._shared) < 16 else 3) + (array + 9 * n) + (array + 5 * n)
         return beside + sum(array + n * v.bound.bytes if v.kind == "allread" else v.bound.bytes for v in self._shared)
 
     def initial(self) -> dict[str, Any]:
-        """The shared variables before any `init`; an allread variable as the tuple of its slots."""
+        """Return the shared variables before any `init`; an allread variable as the tuple of its slots."""
         values = {v.name: v.initial() for v in self._shared}
         return {
             name: (value,) * self.n_sys if slots else value
@@ -88,16 +87,18 @@ class Layout:
         }
 
     def base(self, index: int, store: Mapping[str, Any], author: int) -> Any:
-        """What an author's write takes the place of: the variable's value, of an allread one the author's slot."""
+        """Return the value that an author's write replaces.
+
+        The variable's, or the author's slot of an allread one."""
         value = store[self.names[index]]
         return value[author] if self.is_slots[index] else value
 
     def pack(self, store: Mapping[str, Any]) -> tuple[msgspec.Raw, ...]:
-        """The whole store as it goes over the wire, for one who comes in."""
+        """Encode the whole store for a robot that rejoins."""
         return tuple([msgspec.Raw(encoder.encode(store[name])) for name in self.names])
 
     def unpack(self, values: Sequence[msgspec.Raw]) -> dict[str, Any] | None:
-        """The store in what `pack` made; None when anything in it does not fit this program."""
+        """Decode a store encoded by `pack`; None if it does not fit this program."""
         if len(values) != len(self.names):
             return None
         store: dict[str, Any] = {}
@@ -115,12 +116,11 @@ class Layout:
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
-        """Return what an event of the author wrote as it is sent, and what `read` would make of it.
+        """Return the writes of an author's event as sent, and their values as `read` returns them.
 
         A large value that differs little from that in `store`, with which its round began, is sent as a patch. A number
-        or text of exactly the variable's type is what its encoding yields, so it is not decoded again. The second
-        result is None if a value does not fit the program.
-        """
+        or text of exactly the variable's type equals its decoded encoding, so it is not decoded again. The second
+        result is None if a value does not fit the program."""
         writes: list[Write] = []
         values: list[tuple[int, Any]] = []
         for index in sorted([self._by_name[name] for name in shared]):
@@ -142,8 +142,7 @@ class Layout:
     def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
         """Return the values of an entry with the indices of their variables; a patch is returned as Unpatched.
 
-        Return None if anything in the entry does not fit this program.
-        """
+        None if the entry does not fit this program."""
         first, round_, writes = entry.first, entry.round, entry.writes
         if entry.author >= self.n_sys or first > round_:
             return None
@@ -171,15 +170,18 @@ class Layout:
         return values
 
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
-        """The value of what `read` gave, where the round began with `base` (see there); None for a patch that does not
-        fit it. That depends on nothing else, so all robots take the write, or none does."""
+        """Return the value of a result of `read`, if the round began with `base`.
+
+        None for a patch that does not fit.
+
+        The result depends on nothing else, so either all robots apply the write or none does."""
         if not isinstance(item, Unpatched):
             return item
         data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
         return None if data is None else self._value(index, data)
 
     def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
-        """The value in an encoding; None when it is none that this program can write."""
+        """Decode a value; None if this program cannot write it."""
         try:
             value = self._decoders[index].decode(data)
         except (ValueError, RecursionError):
@@ -187,7 +189,7 @@ class Layout:
         return value if self._fits[index](value) else None
 
     def _encoding(self, index: int, value: Any) -> bytes:
-        """The encoding of a value that several robots may patch in one round: kept until there is another."""
+        """Return the encoding of a value. Cached, because several robots may patch it in one round."""
         known = self._encoded.get(index)
         if known is None or known[0] is not value:
             known = self._encoded[index] = value, encoder.encode(value)
@@ -204,17 +206,19 @@ def _fits(variable: Variable) -> Callable[[Any], bool]:
     def text_fits(value: str) -> bool:
         return len(value) <= capacity if value.isascii() else fits(value)
 
-    if variable.type is str and isinstance(bound, Text):  # texts are the longest values to go through
+    if variable.type is str and isinstance(bound, Text):  # texts are the longest values to check
         capacity = bound.capacity
         return text_fits
     return fits
 
 
 def most_entry(n_sys: int) -> int:
-    """The most bytes that an entry may have in a fleet of that size: in many small fragments, less than in few."""
+    """Return the maximal length of an entry in a fleet of this size.
+
+    Many small fragments are worth less than a few large ones."""
     return min(MOST_ENTRY, most_snapshot(n_sys))
 
 
 def most_snapshot(n_sys: int) -> int:
-    """The most bytes that an encoded State may have in a fleet of that size: as many as go in fragments."""
+    """Return the maximal length of an encoded snapshot in a fleet of this size: what fits into fragments."""
     return MOST_FRAGMENTS * (LIMIT - overhead(n_sys))

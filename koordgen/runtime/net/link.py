@@ -1,8 +1,9 @@
-"""Authenticated datagrams between one robot and its peers: admission, replay protection, clock stamps, figures.
+"""Authenticated datagrams between one robot and its peers.
 
-Nothing received raises or blocks. Nothing changes any state before it was found authentic, well formed, of this
-application, interface, program and mission, and new; every other datagram is dropped and counted by its reason.
-"""
+Admission, replay protection, clock stamps, statistics.
+
+No datagram raises or blocks. No datagram changes any state before it was found authentic, well formed, of this
+application, interface, program and mission, and new. Every other datagram is dropped and counted by its reason."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.codec import decoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Arrival, Metrics
+from koordgen.runtime.net.sender import REFERENCE_EVERY, MessageSender, microseconds, others_every
 from koordgen.runtime.net.sessions import PeerSession
-from koordgen.runtime.net.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage
 from koordgen.runtime.program.program import Program
@@ -23,8 +24,10 @@ from koordgen.runtime.values.clock import Clock
 
 
 class _Exchange(NamedTuple):
-    """A datagram of ours and the peer's answer, in microseconds: `sent` at our clock, `received` and `answered` at the
-    peer's; `fleet` is to be added to the peer's clock for fleet time, None while the peer does not know it."""
+    """A datagram of this robot and the peer's answer, in microseconds.
+
+    `sent` at this robot's clock; `received` and `answered` at the peer's. `fleet` is the peer's fleet time minus its
+    clock, None if the peer does not know it."""
 
     answered: int
     sent: int
@@ -33,11 +36,11 @@ class _Exchange(NamedTuple):
 
 
 class Link:
-    """The one way in (`receive`) and, by `speech`, the one way out.
+    """Receive path (`receive`) and, by `speech`, send path of one robot.
 
-    `report` gets what the operator must know, once for each peer. `sessions` are those of the peers whose boot was
-    adopted, by pid. `strangers` are robots of this mission that another boot than the adopted one speaks for.
-    """
+    `report` receives messages for the operator, once for each peer. `sessions` are those of the peers whose boot was
+    adopted, by pid. `strangers` are robots of this mission that sent messages from another boot than the adopted
+    one."""
 
     def __init__(
         self,
@@ -63,7 +66,7 @@ class Link:
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
         self._release = bytes.fromhex(settings.release)
-        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # in the head of every message but Hello
+        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # expected in the head of every message but Hello
         self._decode = decoder(key)
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
@@ -71,7 +74,7 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.speech = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
 
     @property
     def epoch(self) -> bytes:
@@ -84,22 +87,21 @@ class Link:
         self._mission = (self._application, self._interface, self._program, epoch) if epoch else None
 
     def keep_time(self, reference: int, now: float) -> None:
-        """Follow the fleet time of another robot; its next message yields an exchange, whenever the last one was."""
+        """Follow the fleet time of another robot; its next message yields an exchange at once."""
         if reference != self._fleet_clock.reference:
             self._fleet_clock.follow(reference, now)
             if reference in self.sessions:
                 self.sessions[reference].due = -math.inf
 
     def receive(self) -> list[ReplicaMessage]:
-        """Return the messages for the replica that arrived and are admitted, in their order.
+        """Return the admitted messages for the replica, in the order of arrival.
 
-        Each Hello waits for `take_hellos` instead.
-        """
+        Hellos are kept for `take_hellos`."""
         datagrams = self._transport.receive()
         return self._admitted(datagrams) if datagrams else []
 
     def _admitted(self, datagrams: Sequence[bytes]) -> list[ReplicaMessage]:
-        """Return what `receive` does; record replay window, clock stamps and figures of each message."""
+        """Return admitted messages; record replay window, clock stamps and statistics of each message."""
         local = self._clock.now()  # all of them have arrived by now
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
         arrived, decode, sessions, mission = microseconds(local), self._decode, self.sessions, self._mission
@@ -145,12 +147,12 @@ class Link:
         return admitted
 
     def take_hellos(self) -> list[Hello]:
-        """Return those that `receive` has found. One of a boot that was not adopted has changed nothing."""
+        """Return the Hellos received. A Hello of a boot that was not adopted has changed nothing."""
         hellos, self._hellos = self._hellos, []
         return hellos
 
     def adopt(self, hello: Hello) -> None:
-        """Begin a session with the peer's boot that sent this Hello; an earlier boot counts no more."""
+        """Begin a session with the peer's boot of this Hello; an earlier boot is no longer accepted."""
         head = hello.head
         self.sessions[head.pid] = PeerSession(head.boot, head.sequence, head.sent, microseconds(self._clock.now()))
 
@@ -162,10 +164,11 @@ class Link:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
     def _refusal(self, message: Message, adopted: bool) -> str | None:
-        """Return why a message is refused, or None; `adopted`: its boot is. Everything but the sequence number counts.
+        """Return why a message is refused, or None.
 
-        `_admitted` asks only about messages that differ from what every message of the mission has in common.
-        """
+        `adopted`: its boot is adopted. Ignores the sequence number.
+
+        Called only for messages that differ from the common head of the mission's messages."""
         head = message.head
         reason = self._foreign(head)
         if reason is not None:
@@ -182,7 +185,7 @@ class Link:
         return None
 
     def _foreign(self, head: Head) -> str | None:
-        """Return why a head is not one of a peer's with our application, interface and program, or None."""
+        """Return why a head is not from a peer with the same application, interface and program, or None."""
         if head.application != self._application:
             return "another application"
         if head.pid >= len(self._names) or head.pid == self.pid:
@@ -198,19 +201,19 @@ class Link:
             self._reported.add((pid, what))
             self._report(
                 f"robot {self._names[pid]} runs {what} ({theirs.hex() or 'none'}, here {ours.hex() or 'none'}) "
-                "and is not listened to: build all bundles from the same source and fleet file"
+                "and is ignored: build all bundles from the same source and fleet file"
             )
         return what
 
     def _exchange(self, head: Head) -> _Exchange | None:
-        """Return the exchange that a head completes: its first echo of a datagram of ours."""
+        """Return the exchange that a head completes: its first echo of a datagram of this robot."""
         for echo in head.echoes:
             if echo.pid == self.pid:
                 return _Exchange(head.sent, echo.sent, echo.received, head.fleet)
         return None
 
     def _learn(self, exchanges: dict[int, _Exchange], local: float) -> None:
-        """Teach the fleet clock one exchange of each peer, completed by `local`."""
+        """Give the fleet clock one exchange of each peer, completed at `local`."""
         clock = self._fleet_clock
         for pid, (answered, sent, received, fleet) in exchanges.items():
             self.sessions[pid].due = local + (REFERENCE_EVERY if pid == clock.reference else self._others_every)
@@ -218,5 +221,5 @@ class Link:
 
 
 def _order(exchange: _Exchange) -> tuple[int, int, int]:
-    """Return the key by which the latest exchange is the greatest, in whatever order datagrams arrive."""
+    """Return the sort key of an exchange: the latest is the greatest, in any order of arrival."""
     return exchange.answered, exchange.sent, exchange.received

@@ -1,4 +1,4 @@
-"""Figures of links and rounds: counts and histograms of fixed size, each update O(1)."""
+"""Statistics of links and rounds: counts and histograms of fixed size, each update O(1)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
+PER_OCTAVE = 8  # buckets per octave: a quantile is right within 9 %
 _SHORTEST = 1e-6  # seconds
 BUCKETS = 32 * PER_OCTAVE  # up to more than an hour
 MOST_UNCOUNTED = 64  # calls of Metrics.heard
@@ -16,7 +16,9 @@ RECENT = 512  # datagrams after which older ones count half
 
 
 class Histogram:
-    """Durations in seconds, in buckets of an eighth of an octave. One below a microsecond counts as a microsecond."""
+    """Durations in seconds, in buckets of an eighth of an octave.
+
+    One below a microsecond counts as a microsecond."""
 
     __slots__ = ("_buckets", "_most")
 
@@ -53,40 +55,40 @@ class Histogram:
 
 
 @dataclass(slots=True)
-class Counters:
+class RoundCounters:
     rounds: int = 0
     skipped: int = 0
-    missed: int = 0  # slept through
+    missed: int = 0  # rounds during which the agent did not run
     faults: int = 0
-    discarded: int = 0  # faults by the publish deadline
-    gave_way: int = 0  # commits that did not count because another robot's did
-    current: int = 0  # rounds in which the shared state was there in time
-    asked: int = 0  # times that missing entries were asked for
-    out: int = 0  # rounds in which the others went on without this robot
-    in_a_row: int = 0  # rounds until now without current state or time for an event
+    discarded: int = 0  # faults due to the publish deadline
+    gave_way: int = 0  # transactions that lost to another robot's
+    current: int = 0  # rounds with current shared state in time
+    asked: int = 0  # NACKs sent for missing entries
+    out: int = 0  # rounds in which the others continued without this robot
+    in_a_row: int = 0  # consecutive rounds, up to now, without current state or time for an event
 
 
-_COUNTED = tuple(f.name for f in fields(Counters))
+_COUNTED = tuple(f.name for f in fields(RoundCounters))
 
 
 def tally(
-    rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: Counters | None
+    rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: RoundCounters | None
 ) -> dict[str, int]:
-    """Everything counted, by its name; datagrams by the reason they were dropped for."""
+    """Return all counters by name; dropped datagrams by reason."""
     counted = {f"dropped: {k}": v for k, v in rejected.items()} | {f"network: {k}": v for k, v in troubles.items()}
     if slow_calls:
         counted["slow calls"] = slow_calls
     return counted if counters is None else counted | {name: getattr(counters, name) for name in _COUNTED}
 
 
-# Of a round message: the peer's pid; by how many rounds its round number moved on (1 when no message is missing, k when
-# k - 1 are, 0 or less when it comes late); seconds in the network, None when unknown. A plain tuple is made fastest.
+# Arrival of a round message: the peer's pid; increase of its round number (1 if no message is missing, k if k - 1 are,
+# 0 or less if it is late); seconds in the network, or None. A plain tuple is fastest.
 Arrival = tuple[int, int, float | None]
 
 
 @dataclass(slots=True)
-class _Peer:
-    """Figures of one peer. `heard`: when its last message came; `longest`: the longest silence in seconds."""
+class _PeerFigures:
+    """Statistics of one peer. `heard`: time of its last message; `longest`: longest silence (s)."""
 
     expected: int = 0
     received: int = 0
@@ -98,11 +100,11 @@ class _Peer:
 
 
 class Metrics:
-    """Of robot `pid` in a fleet of `n_sys`. Times are seconds of one monotonic clock."""
+    """Statistics of robot `pid` in a fleet of `n_sys`. Times are seconds of one monotonic clock."""
 
     def __init__(self, pid: int, n_sys: int) -> None:
         self._pid = pid
-        self._peers = [_Peer() for _ in range(n_sys)]
+        self._peers = [_PeerFigures() for _ in range(n_sys)]
         self._late = Histogram()
         self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # see `heard`
         self._round = 0
@@ -110,10 +112,9 @@ class Metrics:
         self._skipped: dict[str, int] = {}
 
     def heard(self, arrivals: Iterable[Arrival], now: float) -> None:
-        """Count authentic round messages. They have arrived by the local time `now`.
+        """Count authentic round messages that have arrived by the local time `now`.
 
-        They are kept until there are many, or someone asks: the figures of each peer lie far apart in memory.
-        """
+        They are counted in batches, because the statistics of peers are far apart in memory."""
         self._uncounted.append((arrivals, now))
         if len(self._uncounted) >= MOST_UNCOUNTED:
             self._count_all()
@@ -140,12 +141,12 @@ class Metrics:
                 peer.longest = silent
 
     def held(self, rounds: Sequence[int]) -> None:
-        """Record up to which round all log entries of each robot are here, by pid."""
+        """Record the round up to which each robot's log entries are held, by pid."""
         for peer, round_ in zip(self._peers, rounds, strict=True):
             peer.closed = max(peer.closed, round_)
 
     def repeated(self, pid: int) -> None:
-        """Count a retransmission that was asked of a peer."""
+        """Count a retransmission requested from a peer."""
         self._peers[pid].repeats += 1
 
     def round(self, number: int, late: float, event: str | None, skipped: str | None, current: bool) -> None:
@@ -159,7 +160,9 @@ class Metrics:
             self._skipped[skipped] = self._skipped.get(skipped, 0) + 1
 
     def snapshot(self, now: float, rejected: Mapping[str, int]) -> dict[str, Any]:
-        """Return plain values; times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
+        """Return plain values.
+
+        Times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
         self._count_all()
         peers = {}
         for pid, peer in enumerate(self._peers):

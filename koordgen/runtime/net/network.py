@@ -1,4 +1,4 @@
-"""A network in memory, on a simulated clock: seeded loss, delay, jitter, duplication and reordering."""
+"""Simulated network in memory: seeded loss, delay, jitter, duplication and reordering."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from koordgen.runtime.net.transport import MOST_AT_ONCE
 from koordgen.runtime.net.wire import LIMIT
 from koordgen.runtime.values.clock import Clock
 
-OVERTAKEN = 0.05  # seconds
+OVERTAKEN = 0.05  # seconds by which a reordered datagram is delayed at most
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Of a link. Probabilities between 0 and 1; seconds. `jitter` is the most that comes, evenly random, on top of
-    `delay`; of what is reordered, and so overtaken, up to OVERTAKEN seconds more."""
+    """Conditions of a link. Probabilities between 0 and 1; times in seconds.
+
+    `jitter` is the largest random addition to `delay`, evenly distributed. A reordered datagram has up to OVERTAKEN
+    seconds more."""
 
     loss: float = 0.0
     delay: float = 0.001
@@ -26,7 +28,7 @@ class Conditions:
     reordering: float = 0.0
 
     def delays(self, dice: Random) -> list[float]:
-        """How long each copy of one datagram that arrives is under way; it may be none, and two at most."""
+        """Return the delay of each copy of a datagram that arrives: none, one or two."""
         found = []
         for _ in range(2 if dice.random() < self.duplication else 1):
             lost = dice.random() < self.loss
@@ -42,9 +44,11 @@ Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datag
 
 
 class MemoryNetwork:
-    """Connects the transports it hands out. `conditions` are those of every link but the ones in `links`, by sender
-    and receiver; `cut` tells whether a datagram from one pid to another is lost now; with `group`, what goes to several
-    is heard by all others, as over multicast. The same seed and the same sends give the same arrivals."""
+    """Network that connects its transports.
+
+    `conditions` hold for every link except those in `links`, by sender and receiver. `cut` returns whether datagrams
+    from one pid to another are lost now. With `group`, a datagram to several robots reaches all others, as with
+    multicast. The same seed and the same sends give the same arrivals."""
 
     def __init__(self, clock: Clock, seed: int, conditions: Conditions = Conditions(), group: bool = False) -> None:
         self._clock = clock
@@ -57,7 +61,7 @@ class MemoryNetwork:
         self._queues: dict[int, Queue] = {}
 
     def transport(self, pid: int) -> MemoryTransport:
-        """The transport of one robot; taking it anew drops what was under way to its predecessor."""
+        """Return a new transport for a robot. Datagrams for its predecessor are dropped."""
         queue: Queue = []
         self._queues[pid] = queue
         return MemoryTransport(self, pid, queue)
@@ -80,7 +84,7 @@ class MemoryNetwork:
         return taken
 
     def next_arrival(self, pid: int, count: int = 1) -> float:
-        """When the next datagram has arrived at a robot, or so many have, by the network's clock."""
+        """Return the time at which `count` datagrams will have arrived at a robot."""
         queue = self._queues.get(pid, [])
         if len(queue) < count:
             return float("inf")
@@ -113,7 +117,7 @@ class MemoryTransport:
         return self._network.arrived(self._queue)
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Simulated time is moved by its owner, not by waiting."""
+        """Return at once: the owner of the simulation advances its time."""
 
     def close(self) -> None:
         self._closed = True

@@ -1,9 +1,8 @@
-"""What changed between two encodings of one variable's value, for values that are large and change little.
+"""Patches between two encodings of a variable's value, for large values with small changes.
 
-A patch is MessagePack of a list of runs (keep, drop, put): keep so many bytes of the old encoding, drop the next so
-many, put these in their place; what is left of the old one is kept. Patches are made by robots and applied to what
-the network brought, so applying one never raises and never makes more bytes than it is allowed to.
-"""
+A patch is a MessagePack list of runs (keep, drop, put): keep so many bytes of the old encoding, drop the next so many,
+insert these. The rest of the old encoding is kept. Patches are applied to data from the network, so applying one never
+raises and never produces more bytes than allowed."""
 
 from __future__ import annotations
 
@@ -11,19 +10,18 @@ import re
 
 import msgspec
 
-WORTH = 0.6  # a patch longer than this part of the new encoding is none: applying it costs time as well
+WORTH = 0.6  # longest patch, as a share of the new encoding: a longer one is not worth the time of applying it
 
-_GAP = re.compile(rb"\0{7,}")  # equal bytes between two runs: fewer cost less than another run's header
+_GAP = re.compile(rb"\0{7,}")  # equal bytes that separate two runs: fewer cost less than another run's header
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(list[tuple[int, int, bytes]])
 
 
 def difference(old: bytes, new: bytes) -> bytes | None:
-    """The patch that makes `new` of `old`; None when it is not much shorter than `new`.
+    """Return the patch from `old` to `new`; None if it is not much shorter than `new`.
 
-    Found are changes in place, wherever they are, and one place at which the length changes (a list that grows or
-    shrinks: its header, in place, and the elements). What comes behind that place is compared from the end.
-    """
+    It finds changes in place, anywhere, and one place at which the length changes (a list that grows or shrinks: its
+    header, in place, and the elements). Bytes behind that place are compared from the end."""
     shorter = min(len(old), len(new))
     if len(old) == len(new):
         tail = 0
@@ -47,8 +45,7 @@ def difference(old: bytes, new: bytes) -> bytes | None:
 
 
 def patched(old: bytes, patch: bytes, most: int) -> bytes | None:
-    """`old` with a patch applied; None when the patch is none, does not fit `old`, or would make more than `most`
-    bytes."""
+    """Apply a patch to `old`; None if it is invalid, does not fit, or yields more than `most` bytes."""
     try:
         runs = _decoder.decode(patch)
     except (ValueError, RecursionError):
@@ -67,12 +64,12 @@ def patched(old: bytes, patch: bytes, most: int) -> bytes | None:
 
 
 def _differing(a: bytes, b: bytes) -> bytes:
-    """Of two strings of one length: zero where they are equal."""
+    """Return the XOR of two strings of equal length: zero where they are equal."""
     return (int.from_bytes(a, "little") ^ int.from_bytes(b, "little")).to_bytes(len(a), "little")
 
 
 def _runs(differing: bytes) -> list[tuple[int, int]]:
-    """Where there are differences, as [start, end) without equal bytes at either end, ascending."""
+    """Return the differing ranges [start, end), ascending, without equal bytes at either end."""
     end = len(differing.rstrip(b"\0"))
     start = len(differing) - len(differing.lstrip(b"\0"))
     runs = []

@@ -1,8 +1,7 @@
-"""Authentication of everything that arrives over a network: keyed BLAKE2s over the whole datagram.
+"""Authentication of all network data: keyed BLAKE2s over the whole datagram.
 
 No caller reads a datagram before `unseal` has accepted it. `purpose` separates protocols that share a key: a datagram
-of one protocol is not authentic in another.
-"""
+of one protocol is not authentic in another."""
 
 from __future__ import annotations
 
@@ -18,15 +17,17 @@ MAC_SIZE = 16
 MEMORY = b"k-memory"  # shared memory between agents
 POSITION = b"k-pose"  # position feed from a base station
 SCAN = b"k-scan"  # scans from a lidar
-CONTROL = b"k-contrl"  # people's orders to agents: emergency stop, status
+CONTROL = b"k-contrl"  # control commands from operators: emergency stop, status
 
 
 class BadKey(Exception):
-    """A key file that must not be used; the message says why and what to do."""
+    """A key file that must not be used. The message says why, and how to fix it."""
 
 
 def load_key(path: Path) -> bytes:
-    """The fleet's key. Raises BadKey when the file is missing, of another size, or readable by others."""
+    """Return the fleet's key.
+
+    Raises BadKey if the file is missing, of a wrong size, or readable by others."""
     try:
         mode = path.stat().st_mode
         key = path.read_bytes()
@@ -43,7 +44,7 @@ def load_key(path: Path) -> bytes:
 
 
 def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
-    """The payload and its MAC. Without a key (`insecure: true`) the digest only tells damage, not forgery."""
+    """Return the payload with its MAC. Without a key (`insecure: true`) it detects damage, not forgery."""
     state = _keyed(key or b"", purpose).copy()
     state.update(payload)
     return payload + state.digest()
@@ -70,5 +71,5 @@ def unsealer(key: bytes | None, purpose: bytes) -> Callable[[bytes], bytes | Non
 
 @lru_cache(maxsize=16)
 def _keyed(key: bytes, purpose: bytes) -> blake2s:
-    """The hash with the key already in it: that is one block of the few that a datagram has."""
+    """Return a hash that already includes the key: that saves one block of the few of a datagram."""
     return blake2s(digest_size=MAC_SIZE, key=key, person=purpose)

@@ -1,4 +1,4 @@
-"""Sessions with peers: the adopted boot of each, its replay window, and the stamps that the fleet clock learns from."""
+"""Peer sessions: the adopted boot of each peer, its replay window, and its stamps for the fleet clock."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 class PeerSession:
     """State of one boot of one peer, from its adoption on.
 
-    `newest` is the highest sequence number received. `skipped` are lower ones that were not received and still may be:
-    those up to `newest` at the adoption, perhaps recorded, never count. `sent` is the latest stamp received in
-    microseconds of the peer's clock (-1: none), `arrived` when it arrived here, and `round` the highest round that the
-    peer reported. From local time `due` (seconds) on the fleet clock wants another exchange.
-    """
+    `newest`: highest sequence number received. `skipped`: lower numbers that may still be received; those up to
+    `newest` at the adoption are never accepted, as they may be recorded. `sent`: latest stamp received, in microseconds
+    of the peer's clock (-1: none); `arrived`: its time of arrival here. `round`: highest round that the peer reported.
+    `due`: local time (s) from which the fleet clock needs another exchange."""
 
     boot: bytes
     newest: int = 0
@@ -27,7 +26,9 @@ class PeerSession:
     skipped: set[int] = field(default_factory=set)
 
     def accept(self, sequence: int) -> bool:
-        """Record a sequence number. False if it was recorded before, or is REPLAY_WINDOW or more behind the newest."""
+        """Record a sequence number.
+
+        False if it was recorded before, or is REPLAY_WINDOW or more behind the newest."""
         newest, skipped = self.newest, self.skipped
         if sequence == newest + 1:  # nearly always
             self.newest = sequence

@@ -8,43 +8,43 @@ from typing import Protocol
 from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS
 
 MOST_AT_ONCE = 1024  # datagrams received in one call: a flood must not keep the robot from its control loop
-LARGEST = LIMIT + 1  # bytes kept of a datagram: more than LIMIT tells that it was too long
-IN_TURN = 64  # datagrams received from one socket before another is looked at
-MOST_ECHOES = 16  # own datagrams that are on their way back from the group; more than one round sends
-GROUP = MAX_ROBOTS  # the place of the group; the places before it are the robots', by pid
-Address = tuple[str, int] | tuple[str, int, int, int]  # of IPv4, of IPv6, as Python's sockets have it
+LARGEST = LIMIT + 1  # bytes kept of a datagram: a length above LIMIT shows that it was too long
+IN_TURN = 64  # datagrams received from one socket before the others are served
+MOST_ECHOES = 16  # own datagrams not yet returned by the group; more than one round sends
+GROUP = MAX_ROBOTS  # place of the group; lower places are pids of robots
+Address = tuple[str, int] | tuple[str, int, int, int]  # IPv4 or IPv6, in the form of Python's sockets
 
 
 class Transport(Protocol):
-    """Unreliable datagrams between pids. No call but `wait` blocks, none raises, before and after `close`.
+    """Unreliable datagrams between pids. Only `wait` blocks; no call raises, before or after `close`.
 
-    A datagram's sender is not looked at here: its MAC decides.
-    """
+    The transport does not check the sender of a datagram: its MAC authenticates it."""
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        """Send to the robots named. What goes to several may reach all others too, but never the sender."""
+        """Send to the robots named. A datagram to several may reach all others too, but never the sender."""
         ...
 
     def receive(self) -> Sequence[bytes]:
-        """Return what has arrived since the last call, as far as possible in order of arrival: at most MOST_AT_ONCE
-        datagrams of at most LARGEST bytes."""
+        """Return the datagrams received since the last call, roughly in order of arrival.
+
+        At most MOST_AT_ONCE datagrams of at most LARGEST bytes."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Gather `expected` datagrams for `gather` seconds, if it is several; then wait until there is at least one,
-        but not longer than `seconds` in all. The robot's own datagrams to a group do not count.
+        """Wait at most `seconds` for a datagram.
 
-        Part of the time may be spent polling. Ends early when the process gets a signal.
-        """
+        First gather `expected` datagrams for up to `gather` seconds, if more than one is expected. The robot's own
+        datagrams to a group do not count. Part of the time may be spent polling. Ends early when the process gets a
+        signal."""
         ...
 
     @property
     def troubles(self) -> dict[str, int]:
-        """Failures so far, counted by their reason."""
+        """Numbers of failures by reason."""
         ...
 
     def close(self) -> None: ...
 
 
 class CannotOpen(Exception):
-    """A socket that cannot be opened or a peer that has no address; the message names the robot and the address."""
+    """A socket cannot be opened, or a peer has no address. The message names the robot and the address."""

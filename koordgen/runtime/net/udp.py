@@ -1,4 +1,4 @@
-"""UDP: unicast to the peer table of the settings, and groups (multicast, broadcast) for what goes to several."""
+"""UDP transports: unicast to the peers of the settings, and groups (multicast, broadcast)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RECEIVE_BUFFER = 1 << 20
 
 
 class UnicastTransport:
-    """One socket, on the robot's own address. Raises CannotOpen."""
+    """Transport with one socket, on the robot's own address. Raises CannotOpen."""
 
     def __init__(
         self,
@@ -29,10 +29,10 @@ class UnicastTransport:
     ) -> None:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
-        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # of each place
+        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # by place
         self.troubles: dict[str, int] = {}
         hosts = [address[0] for address in self._addresses.values()]
-        self._shares = hosts.count(hosts[pid]) > 1  # this computer, with other robots
+        self._shares = hosts.count(hosts[pid]) > 1  # other robots share this computer
         self._sockets: list[socket.socket] = []
         self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, where robot {own.name} listens")
         self._open_inbox()
@@ -49,14 +49,14 @@ class UnicastTransport:
         self._close_sockets()
 
     def _open_inbox(self) -> None:
-        """One for all sockets; the robot's own is the first, which it sends from."""
+        """Open one inbox for all sockets. It sends from the first one, the robot's own."""
         self._inbox = open_inbox(self._sockets, self._received_badly, self._shares)
         for place, address in self._addresses.items():
             self._inbox.address(place, address)
         self.wait, self.receive = self._inbox.wait, self._inbox.receive
 
     def _listen(self, family: socket.AddressFamily, address: Address, what: str, shared: bool = False) -> socket.socket:
-        """A socket that the inbox will look at; `shared`: other robots of this host listen there too."""
+        """Open a socket for the inbox; `shared`: other robots of this host listen on the same address."""
         opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
             opened.setblocking(False)
@@ -85,9 +85,11 @@ class UnicastTransport:
 
 
 class GroupTransport(UnicastTransport):
-    """What goes to several goes once, to a multicast group (which it does not leave the local network for) or a
-    broadcast address, on a port that all robots share; what goes to one goes to it alone. Robots of one host hear each
-    other too, and a robot's own datagrams, which come back to it, are dropped. IPv4 only. Raises CannotOpen."""
+    """Transport that sends a datagram to several robots once, to a multicast group or a broadcast address.
+
+    The port of the group is shared by all robots. A multicast datagram does not leave the local network. A datagram to
+    one robot is sent to it alone. Robots of one host receive each other's datagrams, too; a robot's own datagrams,
+    which come back, are dropped. IPv4 only. Raises CannotOpen."""
 
     def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network) -> None:
         multicast = network.transport == "multicast"
@@ -116,7 +118,7 @@ class GroupTransport(UnicastTransport):
             self._count("send", error)
 
     def _join(self, group: socket.socket, interface: str) -> None:
-        """Listen and send on one interface, given by its address or its name. Raises OSError."""
+        """Send and receive on one interface, given by address or name. Raises OSError."""
         try:
             address, index = IPv4Address(interface), 0
         except AddressValueError:
@@ -146,7 +148,7 @@ def _check_group(network: Network, place: str) -> None:
 
 
 def _reason(error: OSError, shared: bool) -> str:
-    """Why a socket could not be bound, and the way out."""
+    """Return why a socket could not be bound, and how to fix it."""
     if error.errno == errno.EADDRINUSE:
         if shared:
             return ", is in use by something else: set another `port` for all robots"
@@ -159,7 +161,7 @@ def _reason(error: OSError, shared: bool) -> str:
 
 
 def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFamily, Address]:
-    """Its address, once for all: a name server that fails later is of no concern."""
+    """Look up a peer's address once, so later failures of a name server have no effect."""
     if not 1 <= peer.port <= 65535:
         raise CannotOpen(f"robot {peer.name}: {peer.host}:{peer.port} is no address: ports are 1 to 65535")
     try:

@@ -1,8 +1,7 @@
-"""Wire format: the messages of the shared memory as typed structs. `codec` makes datagrams of them.
+"""Wire format: the messages of the shared memory as typed structs. `codec` encodes them as datagrams.
 
-Times are microseconds, `sent` and `received` on the clock of the robot that wrote them down. Types and ranges are all
-that is judged here; `link` and the room `replication` judge the rest.
-"""
+Times are microseconds, `sent` and `received` on the clock of the robot that recorded them. Only types and ranges are
+checked here; `link` and the room `replication` check the rest."""
 
 from __future__ import annotations
 
@@ -23,25 +22,25 @@ MOST_FRAGMENTS = 256  # of one blob
 TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 MaybeToken = Annotated[bytes, msgspec.Meta(max_length=8)]  # empty: not known yet
-Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: of a bundle that was built without a fleet
+Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: a bundle built without a fleet
 Natural = Annotated[int, msgspec.Meta(ge=0, le=TOP)]
 MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=TOP)]  # -1: none
 Shift = Annotated[int, msgspec.Meta(ge=-TOP, le=TOP)]
 Pid = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
-Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round: enough for a year of rounds of 10 ms
+Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round number: enough for a year of rounds of 10 ms
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
-Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]  # bit i of byte i // 8: fragment i is there
+Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]  # bit i of byte i // 8: fragment i is held
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
 
 
 class Wired(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """What travels: immutable (so it never refers to itself), an array without names, nothing beyond its fields."""
+    """Base of all messages: immutable (so never self-referential), encoded as an array, no extra fields."""
 
 
 class Echo(Wired, frozen=True):
-    """The newest datagram heard from `pid`: the stamp in it, and when it arrived by the echoing robot's clock."""
+    """Echo of the newest datagram from `pid`: its stamp, and its arrival on the echoing robot's clock."""
 
     pid: Pid
     sent: Natural
@@ -49,10 +48,11 @@ class Echo(Wired, frozen=True):
 
 
 class Head(Wired, frozen=True):
-    """What every datagram begins with. `boot` is drawn anew at each start of the sender's process; `sequence` only
-    grows within a boot; `epoch` names the mission and is empty until the sender holds everyone's init result; `fleet`
-    is to be added to the sender's clock for fleet time, as far as it knows. `echoes` are there as often as clocks learn
-    from them."""
+    """Head of every datagram.
+
+    `boot`: boot id of the sender's process, random. `sequence`: increases within a boot. `epoch`: the mission; empty
+    until the sender holds all init results. `fleet`: fleet time minus the sender's clock, if known. `echoes` are
+    included as often as clocks need them."""
 
     application: Natural
     interface: Token
@@ -112,12 +112,11 @@ class View(Wired, frozen=True):
 
 
 class Hello(Wired, frozen=True, tag=0):
-    """Joining, from one robot to another.
+    """Joining message from one robot to another.
 
-    A boot counts as alive only if `answer` repeats the `challenge` that the receiver has open for it, and a challenge
-    opens once. `holds`: robots whose init result the sender holds. `release` names the bundles that were built together
-    (see RELEASE in a bundle): a robot accepts only those of its own release.
-    """
+    A boot counts as live only if `answer` repeats the `challenge` that the receiver has issued for it; each challenge
+    is used once. `holds`: robots whose init result the sender holds. `release` names the bundles that were built
+    together (see RELEASE in a bundle): a robot accepts only those of its own release."""
 
     head: Head
     to: Pid
@@ -132,10 +131,9 @@ class Hello(Wired, frozen=True, tag=0):
 class RoundMessage(Wired, frozen=True, tag=1):
     """Progress report and log entries.
 
-    The sender is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and holds robot p's
+    The sender is in `round` and uses view number `view`. It has applied all rounds up to `applied`, and holds robot p's
     entries up to `held[p]`; an empty `held` means `applied` for all, as in most rounds. All members hold everything up
-    to `settled`. `emergency`: the sender knows of an emergency stop. `entries` may be of any robot.
-    """
+    to `settled`. `emergency`: the sender knows of an emergency stop. `entries` may be of any robot."""
 
     head: Head
     view: Natural
@@ -171,7 +169,9 @@ class Nack(Wired, frozen=True, tag=2):
 
 
 class Fragment(Wired, frozen=True, tag=3):
-    """One of `count` fragments of an encoded entry that is longer than a datagram; `digest` is that of the whole."""
+    """Fragment of an encoded entry that is longer than a datagram.
+
+    `digest` is that of the whole."""
 
     head: Head
     author: Pid
@@ -228,18 +228,17 @@ class Accepted(Wired, frozen=True, tag=7):
 
 
 class Decided(Wired, frozen=True, tag=8):
-    """A majority has voted for this view."""
+    """Notice that a majority has voted for this view."""
 
     head: Head
     value: View
 
 
 class RejoinRequest(Wired, frozen=True, tag=9):
-    """From a robot that is no member or has no store.
+    """Request of a robot that is no member or has no store.
 
-    With `incarnation` -1 it asks to be admitted. Else a view has admitted it with that incarnation, and it asks for the
-    Snapshot. Of the one after `round` with this `digest` it holds the fragments in `mask`.
-    """
+    With `incarnation` -1 it asks to be admitted. Otherwise a view has admitted it with that incarnation, and it asks
+    for the Snapshot; it already holds the fragments in `mask` of the snapshot after `round` with this `digest`."""
 
     head: Head
     view: Natural
@@ -250,7 +249,7 @@ class RejoinRequest(Wired, frozen=True, tag=9):
 
 
 class SnapshotFragment(Wired, frozen=True, tag=10):
-    """One of `count` fragments of an encoded Snapshot; `digest` is that of the whole."""
+    """Fragment of an encoded Snapshot: number `index` of `count`. `digest` is that of the whole."""
 
     head: Head
     round: Natural

@@ -1,5 +1,6 @@
-"""Zenoh, for networks of several hops: robots in router mode pass on what others send. The only module that needs the
-package eclipse-zenoh."""
+"""Zenoh transport, for networks of several hops: robots in router mode forward datagrams of others.
+
+The only module that needs the package eclipse-zenoh."""
 
 from __future__ import annotations
 
@@ -15,15 +16,17 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.transport import MOST_AT_ONCE, CannotOpen
 from koordgen.runtime.net.wire import LIMIT
 
-MOST_WAITING = 4096  # datagrams; what comes beyond is dropped, as by a socket's buffer
+MOST_WAITING = 4096  # datagrams; further ones are dropped, as by a socket's buffer
 QUEUE = 16  # datagrams to one peer that wait for the network
-NAP = 20e-6  # seconds for each datagram that is missing
+NAP = 20e-6  # seconds of sleep for each missing datagram
 WAIT_BEFORE_DROP = 100  # microseconds that a send to a full queue may take
 
 
 class ZenohTransport:
-    """Below `koordgen/APPLICATION_ID` one topic for what goes to several, and one for each pid. Neither scouting nor
-    gossip: only the endpoints of the settings are used. Datagrams arrive on a thread of Zenoh's. Raises CannotOpen."""
+    """Transport with one topic for all robots and one for each pid, below `koordgen/APPLICATION_ID`.
+
+    Neither scouting nor gossip: only the endpoints of the settings are used. Datagrams arrive on a thread of Zenoh.
+    Raises CannotOpen."""
 
     def __init__(self, settings: Settings) -> None:
         self._troubles: dict[str, int] = {}
@@ -66,7 +69,7 @@ class ZenohTransport:
 
     @property
     def troubles(self) -> dict[str, int]:
-        return self._troubles.copy()  # Zenoh's thread counts too
+        return self._troubles.copy()  # a copy, for Zenoh's thread also counts
 
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
@@ -77,12 +80,12 @@ class ZenohTransport:
             congestion_control=zenoh.CongestionControl.DROP,
             reliability=zenoh.Reliability.BEST_EFFORT,
             priority=zenoh.Priority.REAL_TIME,
-            express=True,  # at once, not together with others
+            express=True,  # sent at once, without batching
             allowed_destination=zenoh.Locality.REMOTE,
         ).put
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """On Zenoh's thread."""
+        """Receive a datagram, on Zenoh's thread."""
         if len(self._arrived) >= MOST_WAITING:
             self._count("receive: overflow")
         elif len(sample.payload) > LIMIT:  # not even copied
@@ -96,7 +99,7 @@ class ZenohTransport:
 
 
 def _config(settings: Settings) -> zenoh.Config:
-    """Raises ZError: an endpoint that is none."""
+    """Return Zenoh's configuration. Raises ZError for an invalid endpoint."""
     network, pid = settings.network, settings.pid
     places = [f"udp/{_bracketed(peer.host)}:{peer.port}" for peer in settings.peers]
     own = [f"udp/{_bracketed(settings.bind)}:{settings.peers[pid].port}"] if settings.bind else [places[pid]]
@@ -107,7 +110,7 @@ def _config(settings: Settings) -> zenoh.Config:
         "listen/endpoints": own if network.listen is None else network.listen,
         "listen/exit_on_failure": True,
         "connect/endpoints": places[:pid] if network.connect is None else network.connect,
-        # Peers that are not there yet are tried again, in the background; a client without its router is nothing.
+        # A peer retries missing peers in the background; a client needs its router at once.
         "connect/timeout_ms": 0 if network.mode == "client" else -1,
         "connect/exit_on_failure": network.mode == "client",
         "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},

@@ -1,4 +1,4 @@
-"""An agent's control port: whether somebody who has the fleet's key wants an emergency stop, and how the robot does."""
+"""Control port of an agent: emergency stop and status for operators who have the fleet's key."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from koordgen.runtime.ops.orders import (
 )
 
 MOST_AT_ONCE = 256  # datagrams in one poll: a flood costs about a millisecond and no more
-LINGER = 1.0  # seconds after a stop for which its asker may still be waiting for the answer
-MOST_ASKERS = 4  # for the status at one time
+LINGER = 1.0  # seconds after a stop for which its sender may still wait for the answer
+MOST_ASKERS = 4  # simultaneous requests of the status
 
 Report = Callable[[], Mapping[str, Any]]
 
 
 class Datagrams(Protocol):
-    """A socket that never blocks and never raises."""
+    """Socket that never blocks and never raises."""
 
     def receive(self) -> tuple[bytes, Any] | None:
-        """The next datagram and its sender's address."""
+        """Return the next datagram and its sender's address."""
         ...
 
     def send(self, datagram: bytes, address: Any) -> None: ...
@@ -48,7 +48,7 @@ class Datagrams(Protocol):
 
 
 class ControlSocket:
-    """UDP at the robot's control port. Raises CannotOpen."""
+    """UDP socket on the robot's control port. Raises CannotOpen."""
 
     def __init__(self, settings: Settings) -> None:
         family, address = address_of(settings)
@@ -59,12 +59,12 @@ class ControlSocket:
         except OSError as error:
             self._socket.close()
             raise CannotOpen(
-                f"{address[0]}:{address[1]}, where robot {settings.robot} takes orders: {error.strerror or error}; "
+                f"{address[0]}:{address[1]}, the control port of robot {settings.robot}: {error.strerror or error}; "
                 "set another `control` port for it, in the fleet file or in its settings"
             ) from None
 
     def receive(self) -> tuple[bytes, Any] | None:
-        for _ in range(2):  # an error is an earlier answer's echo (ECONNREFUSED), nothing about what waits
+        for _ in range(2):  # an error belongs to an earlier answer (ECONNREFUSED), not to a waiting datagram
             try:
                 return self._socket.recvfrom(LONG + 1)
             except BlockingIOError:
@@ -82,9 +82,11 @@ class ControlSocket:
 
 
 class Control:
-    """`poll` it in every turn of the agent's loop. `secret` is 32 random bytes, new for every start of the process.
-    `rejected` counts by reason what was not listened to. Nothing is acted on before its MAC was found right; each
-    genuine question is answered at most once, by a datagram that is not longer."""
+    """Handler of control commands. Call `poll` in every turn of the agent's loop.
+
+    `secret`: 32 random bytes, new for every start of the process. `rejected` counts refused datagrams by reason. No
+    datagram has an effect before its MAC was verified. Each genuine request is answered at most once, by a datagram
+    that is not longer."""
 
     def __init__(self, sockets: Datagrams, settings: Settings, key: bytes | None, secret: bytes) -> None:
         self.rejected: dict[str, int] = {}
@@ -95,16 +97,17 @@ class Control:
         self._key = key
         self._secret = secret
         self._stopped_at: float | None = None
-        self._status: dict[bytes, bytes] = {}  # what the newest askers are told, by their nonces
+        self._status: dict[bytes, bytes] = {}  # nonce -> status for the newest requests
 
     @staticmethod
     def open(settings: Settings, key: bytes | None) -> Control:
-        """On the robot's control port. Raises CannotOpen."""
+        """Open the robot's control port. Raises CannotOpen."""
         return Control(ControlSocket(settings), settings, key, os.urandom(32))
 
     def poll(self, now: float, phase: str, report: Report) -> bool:
-        """Take what has arrived at local time `now`, at most MOST_AT_ONCE datagrams; whether a stop was ever wanted.
-        `phase` is the agent's, `report` makes its status and is called at most once. Never blocks, never raises."""
+        """Handle at most MOST_AT_ONCE datagrams at local time `now`. Return whether a stop was ever commanded.
+
+        `phase` is the agent's; `report` creates its status and is called at most once. Never blocks, never raises."""
         reported = False
         for _ in range(MOST_AT_ONCE):
             arrived = self._sockets.receive()
@@ -136,7 +139,7 @@ class Control:
         return self._stopped_at is not None
 
     def lingers(self, now: float) -> bool:
-        """Whether the asker of a stop may still wait for its answer: the process should not end yet."""
+        """Return whether the sender of a stop may still wait for its answer. Then the process must not end."""
         return self._stopped_at is not None and now - self._stopped_at < LINGER
 
     def close(self) -> None:
@@ -149,7 +152,7 @@ class Control:
         return issued + blake2s(issued, digest_size=16, key=self._secret).digest()
 
     def _flaw(self, challenge: bytes, now: float) -> str:
-        """Return why a challenge is refused; empty for one that this process offered lately."""
+        """Return why a challenge is refused; "" if this process issued it recently."""
         if not compare_digest(self._signed(challenge[:8]), challenge):
             return "not our challenge"
         if now - int.from_bytes(challenge[:8], "big") / 1e6 > CHALLENGE_LIFE:
@@ -157,7 +160,7 @@ class Control:
         return ""
 
     def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
-        """The first one counts; the robot then ends, so later ones can be but repeats and are only answered."""
+        """Handle a stop. Only the first has an effect; repetitions are just answered."""
         if flaw := self._flaw(challenge, now):
             return flaw
         if self._stopped_at is None:
@@ -168,7 +171,7 @@ class Control:
         if nonce not in self._status:
             try:
                 self._status[nonce] = json.dumps(report()).encode()
-            except Exception:  # a question must not bring down the robot that is asked
+            except Exception:  # a request must not crash the robot
                 return "no report can be made"
             if len(self._status) > MOST_ASKERS:
                 del self._status[next(iter(self._status))]
@@ -180,7 +183,7 @@ class Control:
 
 
 def address_of(settings: Settings) -> tuple[socket.AddressFamily, tuple[str, int]]:
-    """Where the robot takes orders. Raises CannotOpen."""
+    """Return the address of the robot's control port. Raises CannotOpen."""
     host = settings.bind or settings.peers[settings.pid].host
     try:
         found = socket.getaddrinfo(host, settings.control_port, type=socket.SOCK_DGRAM)

@@ -1,5 +1,6 @@
-"""`--doctor` and `--check`: what the surroundings of a robot are like before a mission, from its files to its body.
-Nothing moves."""
+"""`--doctor` and `--check`.
+
+Checks of a robot before a mission, from its files to its vehicle, without motion."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ from koordgen.runtime.trace.parts import MEGABYTE, size_of
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
-MANY_MESSAGES = 1000  # a second: from here on a robot's rounds should run compiled
-LOOKUP = 3.0  # seconds within which all names must have been found
+MANY_MESSAGES = 1000  # per second: from here on a robot's rounds should run compiled
+LOOKUP = 3.0  # seconds for the lookup of all names
 
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
@@ -35,8 +36,11 @@ PlatformType = Callable[[Settings, bytes | None], Platform]
 def examine(
     program: Program, root: Path, overrides: Path | None, pid: int | None, platform_type: PlatformType, drivers: Drivers
 ) -> Generator[Finding, None, None]:
-    """What is found, as it is found; what fails may keep us from looking at what builds on it. Close the iterator to
-    end early: it gives back what it opened."""
+    """Yield the results of all checks as they are made.
+
+    After a failure, checks that depend on it are left out.
+
+    Close the iterator to end early: that frees its resources."""
     clocks = Clocks()
     yield from host(root)
     try:
@@ -64,14 +68,14 @@ def examine(
 
 
 def _trace(path: Path, limit: float | None) -> Finding:
-    """Return whether the trace reaches its limit before the disk is full."""
+    """Check that the trace reaches its limit before the disk is full."""
     try:
         free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
     except OSError as error:
         return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace there")
     told = f"{free:.0f} MB free in {path.parent}"
     if limit is None:
-        return Finding("trace", "warn", f"{told}, no limit", why="the trace fills the disk: set `trace_limit`")
+        return Finding("trace", "warn", f"{told}, no limit", why="the trace will fill the disk: set `trace_limit`")
     told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
     if free < limit - used:
         why = "the disk is full before the trace is: make room, or set a lower `trace_limit`"
@@ -93,7 +97,7 @@ def _program(program: Program, settings: Settings) -> Finding:
 
 
 def _compiled() -> Finding:
-    """Compile the C code of the socket I/O and keep it, so that the first mission does not wait for the compiler."""
+    """Compile and cache the C code of the socket I/O, so the first mission does not wait for the compiler."""
     began = time.perf_counter()
     reason = inbox.accelerator()
     took = 1e3 * (time.perf_counter() - began)
@@ -104,7 +108,7 @@ def _compiled() -> Finding:
 
 
 def _protocol(settings: Settings, root: Path) -> Finding:
-    """Return whether the shared memory's modules run compiled, or need not."""
+    """Check whether the shared memory's modules run compiled, or need not."""
     messages = (len(settings.peers) - 1) / settings.delta
     if protocol.is_used():
         return Finding("protocol", "ok", "the shared memory's modules run compiled")
@@ -116,13 +120,13 @@ def _protocol(settings: Settings, root: Path) -> Finding:
 
 
 def _key(settings: Settings) -> tuple[bytes | None, Finding]:
-    """A key that cannot be used keeps nobody from looking at the rest; feeds are not authentic without it."""
+    """Check the key. A bad key does not prevent further checks; feeds are not authentic without it."""
     try:
         key = open_key(settings)
     except (BadKey, BadSettings) as error:
         return None, Finding("key", "fail", str(error))
     if key is None:
-        why = "anyone on this network can drive this robot: make a key with `koordgen key new`"
+        why = "every computer on this network can control this robot: create a key with `koordgen key new`"
         return None, Finding("key", "warn", "INSECURE: there is none", "a key", why)
     return key, Finding("key", "ok", f"{settings.key_file}, {len(key)} bytes, readable by its owner alone")
 
@@ -143,7 +147,7 @@ def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
         yield Finding("peers", "ok", f"all {len(settings.peers)} have addresses")
     own, network = settings.peers[settings.pid], settings.network
     place = settings.bind or own.host
-    if not missing:  # or it would be told again
+    if not missing:  # otherwise the same error would be reported again
         told = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
         if network.transport == "zenoh":
             told = f"zenoh opens as {network.mode}"
@@ -161,7 +165,7 @@ def _opens(name: str, told: str, open_and_close: Callable[[], None]) -> Finding:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host name or IP address is this host's own, which no other computer reaches."""
+    """Return whether a host name or IP address is the host's loopback, which no other computer reaches."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -169,7 +173,7 @@ def is_loopback(host: str) -> bool:
 
 
 def unknown(peers: Sequence[Peer], seconds: float) -> list[str]:
-    """The hosts for which no address is found in time; all are looked up at once."""
+    """Return the hosts without an address within `seconds`; all are looked up in parallel."""
     waiting = {peer.host for peer in peers}
 
     def look_up(host: str) -> None:

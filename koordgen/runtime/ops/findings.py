@@ -1,4 +1,4 @@
-"""How findings are told: a table for a terminal as narrow as a phone's, one JSON document, or in short."""
+"""Output of check results: a table for narrow terminals, one JSON document, or short lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from koordgen.runtime.ops.host import host, install_requirements
 from koordgen.runtime.vehicle.platform import Finding
 
 OK, WRONG, SURROUNDINGS = 0, 1, 5
-# What is the user's own to set right: the files that were built and copied. All else are the surroundings.
+# Checks of the user's own files: built and copied bundles. All other checks concern the environment.
 OWN = ("files", "settings", "key", "program", "body")
 NARROWEST, WIDEST = 40, 100
 _NAME = 10
@@ -24,13 +24,13 @@ Form = Literal["text", "json"]
 
 
 def status(findings: Iterable[Finding]) -> int:
-    """The exit status: 0 when nothing fails, 1 when files are wrong, 5 when the surroundings are."""
+    """Return the exit status: 0 if no check fails, 1 if files are wrong, 5 if the environment is."""
     failed = {finding.name for finding in findings if finding.state == "fail"}
     return OK if not failed else WRONG if failed & set(OWN) else SURROUNDINGS
 
 
 def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
-    """Print all findings on standard output, as they come or as one document. Returns the exit status."""
+    """Print all results on standard output, as they come or as one document. Return the exit status."""
     width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns))
     told = []
     for finding in findings:
@@ -42,12 +42,12 @@ def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
         print(json.dumps({"app": app, "status": result, "findings": [asdict(f) for f in told]}, indent=2))
     else:
         failed, doubtful = (sum(f.state == state for f in told) for state in ("fail", "warn"))
-        print(f"{len(told)} looked at: {failed} failed, {doubtful} to be warned of")
+        print(f"{len(told)} checks: {failed} failed, {doubtful} warnings")
     return result
 
 
 def row(finding: Finding, width: int) -> str:
-    """One finding as lines of at most `width` characters, where its words are not longer."""
+    """Return one result as lines of at most `width` characters, unless a word is longer."""
     lines = [f"{finding.state.upper() if finding.state == 'fail' else finding.state:<5} {finding.name:<{_NAME}} "]
     lines[0] += finding.found
     if finding.state != "ok":
@@ -60,7 +60,7 @@ def row(finding: Finding, width: int) -> str:
 
 
 def tell_shortly(findings: Iterable[Finding]) -> int:
-    """What is right, a line each, and what is doubtful, up to the first that fails. Returns the exit status."""
+    """Print passed checks and warnings, one line each, up to the first failure. Return the exit status."""
     for finding in findings:
         if finding.state == "fail":
             print(f"error: {_whole(finding)}", file=sys.stderr)
@@ -79,7 +79,9 @@ def _whole(finding: Finding) -> str:
 
 
 def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
-    """For a bundle that cannot even be imported: what can be told, all of it for `--doctor`. Returns the status."""
+    """Report a bundle that cannot be imported; with `--doctor`, all checks that need no import.
+
+    Return the status."""
     install = install_requirements(root)
     what = f"the Python package {error.name!r} is missing or does not load: {error}"
     found = [*host(root), Finding("import", "fail", what, why=install)]

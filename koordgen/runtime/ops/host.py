@@ -1,5 +1,6 @@
-"""What a robot's computer and its bundle must be like, looked at before anything is imported that may be missing:
-this needs nothing but Python itself."""
+"""Checks of a robot's computer and bundle that need only Python itself.
+
+They run before any import that may fail."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from pathlib import Path
 from koordgen.runtime.vehicle.platform import Finding
 
 SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
-ROOM = 100_000_000  # bytes: a trace soon fills less
-JUMP = 0.05  # seconds by which the wall clock may leave the monotonic one during a look
+ROOM = 100_000_000  # bytes; with less, the disk is soon full
+JUMP = 0.05  # seconds by which the wall clock may deviate from the monotonic one during the checks
 _REQUIREMENT = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"
     r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)'"
@@ -34,13 +35,14 @@ _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
 def host(root: Path) -> list[Finding]:
-    """Of the bundle in `root` and the computer that it is on: what needs no settings."""
-    running = Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")  # or we were not here
+    """Check the bundle in `root` and its computer, without settings."""
+    # always true when this line runs
+    running = Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")
     return [running, processor(), packages(root), files(root)]
 
 
 def processor() -> Finding:
-    """Architecture and number of cores."""
+    """Check architecture and number of cores."""
     bits, cores = struct.calcsize("P") * 8, os.cpu_count() or 1
     told = f"{platform.machine()}, {bits} bits, {cores} core{'s' if cores > 1 else ''}"
     if bits != 64:
@@ -53,16 +55,16 @@ def processor() -> Finding:
 
 
 def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
-    """Whether what requirements.txt names is installed, in the versions that were tested."""
+    """Check that the packages of requirements.txt are installed in the tested versions."""
     try:
         lines = (root / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
-        return Finding("packages", "warn", f"no {REQUIREMENTS}", why="which packages are needed cannot be told")
+        return Finding("packages", "warn", f"no {REQUIREMENTS}", why="the required packages are unknown")
     missing, others, right = [], [], 0
     for line in filter(None, map(str.strip, lines)):
         named = _REQUIREMENT.fullmatch(line)
         if named is None:
-            others.append(f"{line!r} is not understood")
+            others.append(f"{line!r} cannot be parsed")
         elif _applies(named):
             try:
                 has = installed(named["name"])
@@ -74,23 +76,24 @@ def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
             else:
                 others.append(f"{named['name']} is {has}, not {named['version']}")
     if not missing and not others:
-        return Finding("packages", "ok", f"all {right} as {REQUIREMENTS} wants")
+        return Finding("packages", "ok", f"all {right} of {REQUIREMENTS} are installed")
     told = "; ".join([f"not installed: {', '.join(missing)}"] * bool(missing) + others)
-    wanted = f"what {REQUIREMENTS} names"
+    wanted = f"the {REQUIREMENTS} packages"
     return Finding("packages", "fail" if missing else "warn", told, wanted, install_requirements(root))
 
 
 def install_requirements(root: Path) -> str:
-    """Return how to install what the bundle in `root` needs; a virtual environment goes beside the bundle."""
+    """Return the command that installs the requirements of the bundle in `root`.
+
+    A virtual environment goes beside the bundle."""
     return pip_install(f"-r {shlex.quote(str(root / REQUIREMENTS))}", root.resolve().parent / "venv")
 
 
 def pip_install(what: str, venv: Path | None = None) -> str:
-    """Return the shell command that installs `what`, the arguments of `pip install`, for the running Python.
+    """Return the shell command that installs `what` (arguments of `pip install`) for this Python.
 
-    On Debian and Raspberry Pi OS pip refuses to change the system's Python (PEP 668). There the command makes the
-    virtual environment `venv` (default: ~/koordgen-venv), and the text says to use its Python.
-    """
+    On Debian and Raspberry Pi OS pip refuses to change the system's Python (PEP 668). There the command creates the
+    virtual environment `venv` (default: ~/koordgen-venv), and the text says to use its Python."""
     python = shlex.quote(sys.executable)
     if _externally_managed():
         folder = venv or Path(os.path.expanduser("~/koordgen-venv"))
@@ -106,21 +109,24 @@ def pip_install(what: str, venv: Path | None = None) -> str:
 
 
 def _externally_managed() -> bool:
-    """Return whether pip refuses to install into the running Python, as pip itself finds out."""
+    """Return whether pip refuses to install into the running Python. Same test as pip's own."""
     in_venv = sys.prefix != sys.base_prefix
     return not in_venv and (Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED").is_file()
 
 
 def needed(line: str) -> str:
-    """Return the package that a line of requirements names; "" if its markers exclude this Python or this computer.
-    Raises ValueError for a line that is not understood."""
+    """Return the package of a line of requirements; "" if its markers exclude this Python or computer.
+
+    Raises ValueError for a line that cannot be parsed."""
     named = _understood(line)
     return named["name"] if _applies(named) else ""
 
 
 def requirement_for(line: str, python: tuple[int, int], machine: str) -> str:
-    """Return a line of requirements without its markers, as in "a==1"; "" if these exclude a computer with such a
-    Python and processor. Raises ValueError for a line that is not understood."""
+    """Return a line of requirements without its markers, as in "a==1".
+
+    "" if these exclude a computer with such a Python and processor. Raises ValueError for a line that cannot be
+    parsed."""
     named = _understood(line)
     applies = _applies(named, python, machine)
     return f"{named['name']}{named['relation']}{named['version']}" if applies else ""
@@ -129,12 +135,12 @@ def requirement_for(line: str, python: tuple[int, int], machine: str) -> str:
 def _understood(line: str) -> re.Match[str]:
     named = _REQUIREMENT.fullmatch(line)
     if named is None:
-        raise ValueError(f"{line!r} is not understood")
+        raise ValueError(f"{line!r} cannot be parsed")
     return named
 
 
 def _applies(named: re.Match[str], python: tuple[int, int] | None = None, machine: str | None = None) -> bool:
-    """Return whether the markers fit a Python and a processor (default: those of this computer)."""
+    """Return whether the markers match a Python and a processor (default: those of this computer)."""
     if named["when"] is None:
         return True
     if named["machine"] not in (None, machine or platform.machine()):
@@ -152,21 +158,22 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def files(root: Path) -> Finding:
-    """Whether the bundle arrived whole and is as it was built. Settings may be changed by hand; code may not: robots
-    of different programs refuse one another, and nobody tested it."""
+    """Check that the bundle is complete and as built.
+
+    Settings may be edited; code may not: it was not tested, and robots of different programs refuse one another."""
     try:
         whole = (root / SUMS).read_text(encoding="utf-8").splitlines()
         lines = [line for line in whole if not line.startswith("#")]
     except (OSError, UnicodeDecodeError):
-        return Finding("files", "warn", f"no {SUMS}", why="whether the bundle is whole cannot be told: copy it again")
+        return Finding("files", "warn", f"no {SUMS}", why="the bundle cannot be verified: copy it again")
     listed = {path: digest for digest, _, path in (line.partition("  ") for line in lines)}
     wrong = [f"{path} is {state}" for path, digest in listed.items() if (state := _state(root / path, digest))]
     if not wrong:
         return Finding("files", "ok", f"{len(listed)} files as they were built")
     if wrong == [f"{SETTINGS} is changed"]:
-        return Finding("files", "warn", wrong[0], why="the fleet file no longer says how this robot is set")
+        return Finding("files", "warn", wrong[0], why="the settings of this robot differ from the fleet file")
     more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-    return Finding("files", "fail", wrong[0] + more, "as they were built", "build the bundle again, and copy it whole")
+    return Finding("files", "fail", wrong[0] + more, "as they were built", "build the bundle again, and copy all of it")
 
 
 def _state(path: Path, digest: str) -> str:
@@ -179,7 +186,7 @@ def _state(path: Path, digest: str) -> str:
 
 
 def temperature() -> float | None:
-    """The hottest of the computer's thermal zones, in degrees Celsius; None where the kernel names none."""
+    """Return the temperature of the hottest thermal zone, in degrees Celsius; None if unknown."""
     found = []
     for zone in Path("/sys/class/thermal").glob("thermal_zone*/temp"):
         with suppress(OSError, ValueError):
@@ -188,25 +195,26 @@ def temperature() -> float | None:
 
 
 def disk(folder: Path) -> Finding:
-    """Whether what survives a crash can be kept in `folder`, which need not be there yet."""
+    """Check that state can be stored in `folder`, which need not exist yet."""
     standing = next(place for place in (folder, *folder.parents) if place.exists())
     try:
         free = shutil.disk_usage(standing).free
     except OSError as error:
-        return Finding("disk", "fail", f"{standing}: {error.strerror}", why="the robot keeps its state there")
+        return Finding("disk", "fail", f"{standing}: {error.strerror}", why="the robot stores its state there")
     told = f"{free / 1e6:.0f} MB free in {standing}"
     if not os.access(standing, os.W_OK | os.X_OK):
         return Finding(
-            "disk", "fail", f"{standing} cannot be written", why="the robot keeps its state there: `chown` it"
+            "disk", "fail", f"{standing} cannot be written", why="the robot stores its state there: `chown` it"
         )
     if free < ROOM:
-        return Finding("disk", "warn", told, f"{ROOM / 1e6:.0f} MB", "make room: a full disk ends the trace")
+        return Finding("disk", "warn", told, f"{ROOM / 1e6:.0f} MB", "free space: a full disk ends the trace")
     return Finding("disk", "ok", told)
 
 
 class Clocks:
-    """Watches the computer's wall clock against its monotonic one, from when it is made to its `finding`. Rounds run
-    on the monotonic clock; a wall clock that jumps only spoils what is compared with other computers."""
+    """Comparison of the wall clock with the monotonic clock, from its creation until `finding`.
+
+    Rounds use the monotonic clock. A jump of the wall clock only disturbs comparisons with other computers."""
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic, wall: Callable[[], float] = time.time) -> None:
         self._monotonic, self._wall = monotonic, wall
@@ -215,7 +223,7 @@ class Clocks:
     def finding(self, synchronised: Callable[[], bool | None] | None = None) -> Finding:
         jump = self._wall() - self._monotonic() - self._began
         if abs(jump) > JUMP:
-            why = "something sets it, and times in logs do not match; rounds go on unharmed"
+            why = "something sets the wall clock, so times in logs do not match; rounds are not affected"
             return Finding("clock", "warn", f"the wall clock jumped by {jump:+.2f} s", "no jumps", why)
         known = (synchronised or ntp)()
         told = "steady" if known is None else f"steady, {'' if known else 'not '}synchronised by NTP"
@@ -223,7 +231,9 @@ class Clocks:
 
 
 def ntp() -> bool | None:
-    """Whether the kernel holds its clock for synchronised, by adjtimex(2) without changes; None: it does not say."""
+    """Return whether the kernel considers its clock synchronised (adjtimex(2) without changes).
+
+    None if unknown."""
     with suppress(OSError, AttributeError):
         state = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))  # struct timex has 208 bytes
         return None if state < 0 else bool(state != _UNSYNCHRONISED)

@@ -1,4 +1,4 @@
-"""What a robot tells: lines for people, its trace, its metrics and its monitors."""
+"""Journal of a robot: log lines, trace, metrics and monitors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from koordgen.runtime.net.wire import View
 from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Calls, Effects, Life
 from koordgen.runtime.replication.views import describe
-from koordgen.runtime.trace.watched import FOR_GOOD, Change
+from koordgen.runtime.trace.monitored import FOR_GOOD, Change
 from koordgen.runtime.trace.writer import Observe, Record, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.stall import State
@@ -23,16 +23,19 @@ _STALLED: dict[State, str] = {
     "goes on": "still no way after {:.0f} s",
     "ends": "the stall is over after {:.0f} s",
 }
-MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
-MOST_UNTOLD = 8  # records of rounds that wait to be told
-METRICS_EVERY = 10.0  # seconds between two of them in the trace
+MOST_CHANGES, OFTEN = 6, 10.0  # log lines about one property within a time (s)
+MOST_UNTOLD = 8  # records of rounds that wait to be recorded
+METRICS_EVERY = 10.0  # seconds between two metrics records in the trace
 
 T = TypeVar("T")
 Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
 
 
 class Journal:
-    """`round` is the present one, for the lines; `monitors` get each round's record, and are off once they fail."""
+    """Journal of one robot.
+
+    `round` is the present one, for log lines. `monitors` receive each round's record; a monitor that fails is switched
+    off."""
 
     def __init__(
         self,
@@ -51,7 +54,7 @@ class Journal:
         self._fleet_clock = fleet_clock
         self._metrics = metrics
         self._monitors = list(monitors)
-        self._changes: dict[str, tuple[float, int]] = {}  # of properties: since when, how many
+        self._changes: dict[str, tuple[float, int]] = {}  # of properties: start of the interval, number of changes
         self._counted: Mapping[str, int] = {}
         self._faulty = ""
         self._phase = ""
@@ -59,17 +62,17 @@ class Journal:
         self._last = ""  # line
         self._measured = 0.0
         self.recent = Recent()
-        self.untold: list[Record] = []  # of rounds that have become certain
+        self.untold: list[Record] = []  # records of committed rounds
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
-        """Another phase begins. Where the line before tells why, that is not told again."""
+        """Record a new phase. A detail that repeats the line before is left out."""
         self._phase, self._said = phase, ""
         self._trace.phase(self._clock.now(), phase, detail)
         self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
 
     def progress(self, text: str) -> None:
-        """What the robot waits for or does; the same is told once."""
+        """Record progress, once per text."""
         if text and text != self._said:
             self._said = text
             self._trace.phase(self._clock.now(), self._phase, text)
@@ -86,13 +89,14 @@ class Journal:
         self.log("error", text)
 
     def stall(self, state: State, why: str, lasted: float) -> None:
-        """The body has had no way for `lasted` seconds, or has one again."""
+        """Record that the vehicle has had no path for `lasted` seconds, or has one again."""
         self._trace.stall(self._clock.now(), state, why, lasted)
         self.warn(f"{_STALLED[state].format(lasted)}: {why}")
 
     def monitor(self, change: Change) -> None:
-        """A property has come to another outcome. People are told unless that is its first and as it should be, and of
-        one that goes to and fro not each time."""
+        """Record a change of a property's verdict.
+
+        It is logged unless it is the first and good; for a property that changes often, not each time."""
         self._trace.monitor(change)
         since, count = self._changes.get(change.word, (-math.inf, 0))
         if change.time - since > OFTEN:
@@ -108,52 +112,53 @@ class Journal:
             self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
 
     def judged(self, violated: bool, summary: str) -> None:
-        """What the robot's monitors have come to, at its end."""
+        """Record the final verdicts of the robot's monitors."""
         if summary:
             self.log("warning" if violated else "info", f"properties: {summary}")
 
     def watch(self, monitor: Observe) -> None:
-        """One more that gets each round's record."""
+        """Add a callback for each round's record."""
         self._monitors.append(monitor)
 
     def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
-        """What the program has to say in a round; 0 is `init`. A stream is served by every agent."""
+        """Record the program's output of a round; 0 is `init`. Every agent serves streams."""
         for port, text in lines:
             self._trace.stream(time, round_, port, text)
             self._line("info", f"{port}: {text}")
 
     def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
-        """`init` has run."""
+        """Record the execution of `init`."""
         self._trace.init(time, sensors, effects, after, calls)
         self.recent.wrote(0, effects.shared)
         self.streams(effects.streams, 0, time)
 
     def view(self, view: View, names: Sequence[str], over: bool) -> None:
-        """Another view decides who counts; at the mission's beginning all do. Once this robot's part is `over`, it is
-        normal that others end and no longer count."""
+        """Record a new view. In view 0 all robots are members.
+
+        Once this robot's part is `over`, it is normal that others end and leave."""
         self._trace.view(self._clock.now(), view.number, view.since, view.members)
         if view.number:
             self.log("info" if over else "warning", describe(view, names))
 
     @property
     def traces(self) -> bool:
-        """Whether counters go anywhere."""
+        """True if counters are recorded."""
         return self._trace.open
 
     @property
     def full(self) -> bool:
-        """Whether what is untold can wait no longer."""
+        """True if the waiting records must be recorded now."""
         return len(self.untold) >= MOST_UNTOLD
 
     def tell(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
-        """Tell of all records that wait to be told, and put the metrics into the trace, if it is time."""
+        """Record all waiting rounds, and the metrics if they are due."""
         for record in self.untold:
             self.observe(record, counters)
         self.measure(rejected, self.untold[-1].time)
         self.untold.clear()
 
     def observe(self, record: Record, counters: Mapping[str, int]) -> None:
-        """A round's record, now that it is certain; `counters` is everything counted so far, if it `traces`."""
+        """Record a committed round; `counters` are all counters, if it `traces`."""
         if self._trace.open:
             changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
             self._counted = counters
@@ -171,7 +176,7 @@ class Journal:
                 self._monitors.remove(monitor)
 
     def attempt(self, monitor: Callable[[T], None], seen: T) -> bool:
-        """Let a monitor look at something; what it raises is told and brings nobody down."""
+        """Call a monitor. An exception is logged and stops only that monitor."""
         try:
             monitor(seen)
         except Exception as error:
@@ -180,7 +185,7 @@ class Journal:
         return True
 
     def measure(self, rejected: Mapping[str, int], now: float, at_once: bool = False) -> None:
-        """Put the metrics into the trace, if it is time."""
+        """Record the metrics if they are due."""
         if at_once or now - self._measured >= METRICS_EVERY:
             self._measured = now
             self._trace.metrics(now, self._metrics.snapshot(now, rejected))

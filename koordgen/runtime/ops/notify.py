@@ -14,11 +14,12 @@ from contextlib import suppress
 
 
 class Notifier:
-    """The messages of one process. Times are seconds of any one clock that never goes back."""
+    """Sender of one process's messages. Times are seconds of any monotonic clock."""
 
     def __init__(self, environment: Mapping[str, str], pid: int) -> None:
-        """`environment` as os.environ, `pid` this process's. A socket that is no path, and a period that is no positive
-        number or is another process's, count as absent."""
+        """Read `environment` (as os.environ) for the process `pid`.
+
+        A socket that is no path, and a period that is invalid or belongs to another process, count as absent."""
         name = environment.get("NOTIFY_SOCKET", "")
         self._address = "\0" + name[1:] if name.startswith("@") else name if name.startswith("/") else ""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if self._address else None
@@ -29,11 +30,13 @@ class Notifier:
         self._status = ""
 
     def ready(self) -> None:
-        """Say that the process has started."""
+        """Report that the process has started."""
         self._send("READY=1")
 
     def alive(self, now: float, status: str) -> None:
-        """Call in each turn of the loop that must not hang: feeds the watchdog, and sends `status` when it changed."""
+        """Feed the watchdog, and send `status` if it has changed.
+
+        Call in each turn of the loop that must not hang."""
         if self._socket is None:
             return
         if status != self._status:
@@ -44,7 +47,7 @@ class Notifier:
             self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """Say that the process is about to end."""
+        """Report that the process is about to end."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
@@ -58,7 +61,7 @@ class Notifier:
 
 
 def _period(environment: Mapping[str, str], pid: int) -> float:
-    """A third of the time, in seconds, within which the manager must hear from us; infinite when it does not watch."""
+    """Return a third of the watchdog's timeout in seconds; inf without a watchdog."""
     try:
         wanted = int(environment.get("WATCHDOG_USEC", "0"))
         watched = int(environment.get("WATCHDOG_PID", str(pid)))

@@ -1,4 +1,4 @@
-"""Opens what a bundle's folder and its settings name: the settings themselves, the key, the transport."""
+"""Set-up of an agent from its bundle: settings, key, transport."""
 
 from __future__ import annotations
 
@@ -11,30 +11,35 @@ from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
 
 
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
-    """The settings in a bundle's folder, laid over by others and by a pid; or the others alone. Raises BadSettings."""
+    """Return the settings of a bundle's folder with overrides and a pid; or the overrides alone.
+
+    Raises BadSettings."""
     path = root / "settings.json"
     if path.exists():
         return load(path, overrides, pid)
     if overrides is not None:
         return load(overrides, None, pid)
     raise BadSettings(
-        f"{path}: not there: this bundle was built without a fleet file; build it with "
-        "`koordgen build ... --fleet FILE`, or say `--settings FILE`"
+        f"{path}: not found, because this bundle was built without a fleet file; build it with "
+        "`koordgen build ... --fleet FILE`, or give `--settings FILE`"
     )
 
 
 def open_key(settings: Settings) -> bytes | None:
-    """The fleet's key, None when the settings say that there is none. Raises BadKey, and BadSettings when they say
-    nothing."""
+    """Return the fleet's key, None if the settings declare that there is none.
+
+    Raises BadKey, and BadSettings if the settings declare neither."""
     if settings.key_file is not None:
         return load_key(Path(settings.key_file))
     if not settings.insecure:
-        raise BadSettings("no key_file; a fleet without a key must say so: `insecure: true`")
+        raise BadSettings("no key_file; a fleet without a key must declare `insecure: true`")
     return None
 
 
 def open_transport(settings: Settings) -> Transport:
-    """The transport that the settings name; the optional package is imported only for its own. Raises CannotOpen."""
+    """Return the transport of the settings.
+
+    Imports the optional package only if needed. Raises CannotOpen."""
     network = settings.network
     if network.transport == "unicast":
         return UnicastTransport(settings.peers, settings.pid, settings.bind)

@@ -1,15 +1,14 @@
-"""Datagrams of the control port, by which people talk to agents: emergency stop and status, sealed and fresh.
+"""Datagrams of the control port between operators and agents: emergency stop and status.
 
-A datagram is one byte `ORDER_FORMAT`, one of its kind, fields of fixed places, zeros up to its length, and the MAC of
-`seal`. Nothing here needs more than Python itself: a stop must work from any computer that has the key.
+A datagram is one byte `ORDER_FORMAT`, one of its kind, fields at fixed offsets, zeros up to its length, and the MAC of
+`seal`. This module needs only Python itself: a stop must work from any computer that has the key.
 
-To stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. For the status: Ask -> Offer -> AskStatus
-with that challenge -> StatusPart. Only the agent that made a challenge takes it, for CHALLENGE_LIFE seconds, and its
-secret dies with its process: a recorded Stop stops nobody, and a recorded AskStatus learns nothing. The nonce in every
-answer is the asker's, drawn anew for each call, so no recorded answer is believed either.
+Stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. Status: Ask -> Offer -> AskStatus with that
+challenge -> StatusPart. Only the agent that issued a challenge accepts it, for CHALLENGE_LIFE seconds, and its secret
+dies with its process: a recorded Stop stops no robot, and a recorded AskStatus gets no answer. The nonce in every
+answer is the sender's, random for each call, so no recorded answer is accepted either.
 
-The formats of Ask, Offer, Stop and Stopped stay as they are: a new koordgen must be able to stop an old agent.
-"""
+The formats of Ask, Offer, Stop and Stopped never change: a new koordgen must be able to stop an old agent."""
 
 from __future__ import annotations
 
@@ -20,9 +19,9 @@ from dataclasses import dataclass
 from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, seal, unseal
 
 ORDER_FORMAT = 1
-# bytes of a sealed datagram: all that asks are as long as their answers, so nobody is flooded through an agent
+# bytes of a sealed datagram: requests are as long as their answers, so an agent cannot amplify a flood
 SHORT = 96
-LONG = 1200  # of an AskStatus and at most of its answer
+LONG = 1200  # of an AskStatus, and at most of its answer
 NONCE = 8
 CHALLENGE = 24
 CHALLENGE_LIFE = 10.0  # seconds
@@ -33,7 +32,7 @@ PIECE = LONG - MAC_SIZE - _PART.size  # bytes of a status in one datagram
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Who are you, and by which challenge can I stop you?"""
+    """Request of the robot's identity and of a challenge for stopping it."""
 
     application: int
     nonce: bytes
@@ -64,7 +63,7 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class AskStatus:
-    """The status is cut into pieces; this asks for one. All pieces of one nonce are of one moment."""
+    """Request of one piece of the status. All pieces of one nonce are of the same time."""
 
     application: int
     nonce: bytes
@@ -91,7 +90,7 @@ _KIND_OF_ASK_STATUS = 6  # 4 was one without a challenge
 
 
 def encode(order: Order, key: bytes | None) -> bytes:
-    """A sealed datagram."""
+    """Return a sealed datagram."""
     f = ORDER_FORMAT
     length = SHORT
     match order:
@@ -112,7 +111,9 @@ def encode(order: Order, key: bytes | None) -> bytes:
 
 
 def decode(datagram: bytes, key: bytes | None) -> Order | str:
-    """The order, or why there is none. Nothing is looked at before the MAC was found right. Never raises."""
+    """Return the decoded order, or why it is refused.
+
+    Nothing is read before the MAC was verified. Never raises."""
     if len(datagram) > LONG:
         return "oversize"
     payload = unseal(key, CONTROL, datagram)

@@ -1,8 +1,7 @@
-"""Recent history of one robot, for the report of its control port: log lines, outcomes of rounds, shared writes.
+"""Recent history of one robot for its status: log lines, results of rounds, shared writes.
 
-All of it is bounded, each note costs O(1), and nothing is encoded before somebody asks. Lines are numbered from 1 and
-rounds by their own numbers, so that an asker merges successive reports without doubles.
-"""
+All of it is bounded, each update costs O(1), and nothing is encoded before a request. Lines are numbered from 1, rounds
+by their own numbers, so a client can merge successive reports without duplicates."""
 
 from __future__ import annotations
 
@@ -26,22 +25,22 @@ Outcome = tuple[int, str, str, float]  # round, outcome, detail, seconds after t
 
 
 class Recent:
-    """The last lines and rounds of a robot, and the last value that it wrote into each shared variable."""
+    """Last lines and rounds of a robot, and the last value that it wrote into each shared variable."""
 
     def __init__(self) -> None:
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
         self._rounds: deque[Outcome] = deque(maxlen=MOST_ROUNDS)
         self._written: dict[str, tuple[int, Any]] = {}
         self._count = 0
-        self._decided = 0.0  # when the last of the rounds was decided
+        self._decided = 0.0  # time when the last round was decided
 
     def line(self, time: float, round_: int, level: str, text: str) -> None:
-        """Note a log line."""
+        """Add a log line."""
         self._count += 1
         self._lines.append((self._count, time, round_, level, text[:LONGEST_LINE]))
 
     def round(self, record: Record) -> None:
-        """Note the outcome of a round, and what its event wrote into shared variables."""
+        """Add the result of a round, with the shared variables that its event wrote."""
         if record.fault is not None:
             outcome, detail = "fault", str(record.fault)
         elif record.skipped is not None:
@@ -54,16 +53,18 @@ class Recent:
             self.wrote(record.round, record.effects.shared)
 
     def wrote(self, round_: int, values: Mapping[str, Any]) -> None:
-        """Note what an event of that round, or `init` (round 0), wrote into shared variables."""
+        """Add the shared variables that an event of a round, or `init` (round 0), wrote."""
         for name, value in values.items():
             self._written[name] = round_, value
 
     def report(self, now: float, kinds: Mapping[str, str]) -> dict[str, Any]:
-        """Plain values. Times are ages in seconds at local time `now`; `kinds` are those of the shared variables.
+        """Return plain values.
+
+        Times are ages in seconds at local time `now`; `kinds` are those of shared variables.
 
         `lines`: [number, age, round, level, text]. `outcomes`: runs of equal outcomes, [first round, rounds, outcome,
-        detail, lateness of each (ms)]; `decided`: the age of the last. `shared`: [name, kind, round, value]; of a long
-        value {"cut": the beginning of its JSON}."""
+        detail, lateness of each (ms)]; `decided`: the age of the last. `shared`: [name, kind, round, value]; a long
+        value is {"cut": the beginning of its JSON}."""
         written = ([name, kinds[name], round_, _plain(value)] for name, (round_, value) in self._written.items())
         lines = ([number, round(now - time, 2), *more] for number, time, *more in reversed(self._lines))
         return {
@@ -87,7 +88,7 @@ def _runs(rounds: Iterable[Outcome]) -> list[list[Any]]:
 
 
 def _within(most: int, rows: Iterable[list[Any]]) -> list[list[Any]]:
-    """Return the first rows whose JSON has at most so many bytes together."""
+    """Return the first rows whose JSON together has at most `most` bytes."""
     kept: list[list[Any]] = []
     for row in rows:
         most -= len(_encoder.encode(row))
@@ -105,8 +106,9 @@ def _plain(value: Any) -> Any:
 
 
 def goal(actuators: Mapping[str, Any], is_finite: Callable[[Any], bool]) -> list[list[float]]:
-    """Return the points of the path, or the single target, that was commanded last: metres, local ENU; empty without
-    one. Of a long path MOST_POINTS are left, the last among them."""
+    """Return the points of the last commanded path or target: metres, local ENU; empty if there is none.
+
+    Of a long path MOST_POINTS are returned, always including the last."""
     for port in (".path", ".target"):
         for name, value in actuators.items():
             points = (value if port == ".path" else (value,)) if name.endswith(port) else ()

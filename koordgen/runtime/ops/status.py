@@ -1,4 +1,4 @@
-"""`--status`: asks the agent that runs on this host how it is, over its control port, and shows the answer."""
+"""`--status`: requests the status of the agent on this host over its control port, and formats it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ REPEAT, TIMEOUT = 0.1, 2.0  # seconds
 
 
 class Asking:
-    """Asks one agent for its status: send all of `datagrams`, `take` what comes, until `answer` is there. The first
-    question is for the challenge with which the others are asked."""
+    """Request of one agent's status: send all `datagrams`, pass answers to `take`, until `answer` is set.
+
+    The first datagram requests the challenge needed by the others."""
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.answer: dict[str, Any] | None = None
@@ -37,7 +38,7 @@ class Asking:
         return [encode(question, self._key) for question in questions]
 
     def take(self, datagram: bytes) -> bool:
-        """Return whether there is an answer now, or something else to be asked at once."""
+        """Return whether the answer is complete, or another request should be sent at once."""
         order = decode(datagram, self._key)
         if isinstance(order, Offer) and order.nonce == self._nonce and not self._challenge:
             self._challenge = order.challenge
@@ -53,13 +54,13 @@ class Asking:
             return more
         try:
             self.answer = json.loads(b"".join(whole))
-        except ValueError:  # pieces of two moments: others asked meanwhile
+        except ValueError:  # pieces of different times: another client asked meanwhile
             self._pieces = [None]
         return True
 
 
 def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
-    """The status of the agent that runs with these settings on this host, or None: no answer."""
+    """Return the status of the agent with these settings on this host; None without an answer."""
     family, address = address_of(settings)
     asking = Asking(settings.application_id, key, os.urandom(NONCE))
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
@@ -76,7 +77,7 @@ def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
 
 
 def show(report: Mapping[str, Any]) -> str:
-    """A report as a table for people."""
+    """Return a report as a table."""
     late, names = report["late_ms"], report["names"]
     share = 100 * report["current"] / max(1, report["rounds"])
     lines = [
@@ -99,7 +100,7 @@ def show(report: Mapping[str, Any]) -> str:
     monitors = report["monitors"]
     if monitors["counts"]:
         counted = ", ".join(f"{count} {outcome}" for outcome, count in sorted(monitors["counts"].items()))
-        lines += ["", f"properties, as far as it can tell: {counted}"]
+        lines += ["", f"properties, by the robot's monitors: {counted}"]
         for found in monitors["violated"]:
             word = f"{found['of']} {found['name']}".strip()
             lines.append(f"  violated since round {found['since']}: {word} ({found['line']}): {found['why']}")

@@ -1,7 +1,6 @@
-"""The Python beside a program: calls of `extern fun`s, with copies in, strict conversion out, and nothing that escapes.
+"""Calls of extern functions: copies in, strict conversion out, and no exception that escapes.
 
-Koord values are immutable, so they need no copying; values of extern types are decoded anew for every call.
-"""
+Koord values are immutable, so they need no copying; values of extern types are decoded anew for every call."""
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ from koordgen.runtime.values.containers import map_of, set_of
 from koordgen.runtime.values.gridmap import GridMap, sound
 from koordgen.runtime.values.points import Opaque
 
-# What user code may raise that is no Exception and must not end the agent.
+# Exceptions of user code that must not end the agent.
 ESCAPES = (Exception, SystemExit, KeyboardInterrupt, GeneratorExit)
 
 
 class Contract(NamedTuple):
-    """What an extern function requires or ensures: its name, and the line of the program on which that stands."""
+    """Broken contract of an extern function: its kind, the function's name, and the line of the program."""
 
     of: Literal["requires", "ensures"]
     name: str
@@ -30,7 +29,9 @@ class Contract(NamedTuple):
 
 
 class BadExtern(Exception):
-    """An extern function that is missing, raised, returned what it must not, or whose contract does not hold."""
+    """Failed call of an extern function.
+
+    Missing, raised, returned an invalid value, or broke its contract."""
 
     def __init__(self, message: str, contract: Contract | None = None) -> None:
         super().__init__(message)
@@ -38,14 +39,14 @@ class BadExtern(Exception):
 
 
 class Library:
-    """The user's module of functions and types, imported when it is first needed, or by `load`."""
+    """The user's module of functions and types, imported at its first use or by `load`."""
 
     def __init__(self, module: str) -> None:
         self._name = module
         self._module: Any = None
 
     def load(self) -> None:
-        """Import it. Raises BadExtern."""
+        """Import the module. Raises BadExtern."""
         if self._module is None:
             try:
                 self._module = importlib.import_module(self._name)
@@ -53,7 +54,7 @@ class Library:
                 raise BadExtern(f"{self._name}.py cannot be imported: {_told(error)}") from error
 
     def find(self, name: str) -> Callable[..., Any]:
-        """A function or class of it. Raises BadExtern."""
+        """Return a function or class of the module. Raises BadExtern."""
         self.load()
         found = getattr(self._module, name, None)
         if not callable(found):
@@ -62,8 +63,10 @@ class Library:
 
 
 class Extern:
-    """One extern function. `parameters` and `result` mirror its Koord types, `type` is the result's Python type and
-    `wanted` its name in words: "a List<Point>"."""
+    """One extern function.
+
+    `parameters` and `result` mirror its Koord types. `type` is the result's Python type and `wanted` its name in
+    messages: "a List<Point>"."""
 
     def __init__(
         self, library: Library, name: str, parameters: tuple[Bound, ...], result: Bound, type: Any, wanted: str
@@ -76,7 +79,7 @@ class Extern:
         self._wanted = wanted
 
     def __call__(self, *args: Any) -> Any:
-        """The function's result as a Koord value. Raises BadExtern."""
+        """Call the function. Return its result as a Koord value. Raises BadExtern."""
         function = self._library.find(self._name)
         given = [self._opened(bound, value) for bound, value in zip(self._parameters, args, strict=True)]
         try:
@@ -90,19 +93,19 @@ class Extern:
             raise BadExtern(f"{self._name} returned {shown(found)}, not {self._wanted}") from None
 
     def require(self, holds: bool, line: int) -> None:
-        """A precondition, which stands on a line of the program. Raises BadExtern."""
+        """Check a precondition of the function, which is on a line of the program. Raises BadExtern."""
         if not holds:
-            why = f"{self._name} was called although what it requires (line {line}) does not hold"
+            why = f"{self._name} was called although its precondition (line {line}) does not hold"
             raise BadExtern(why, Contract("requires", self._name, line))
 
     def ensure(self, holds: bool, line: int, result: object) -> None:
-        """A promise of the function, which stands on a line of the program. Raises BadExtern."""
+        """Check a postcondition of the function, which is on a line of the program. Raises BadExtern."""
         if not holds:
-            why = f"{self._name} returned {shown(result)}, against what it ensures (line {line})"
+            why = f"{self._name} returned {shown(result)}, which breaks its postcondition (line {line})"
             raise BadExtern(why, Contract("ensures", self._name, line))
 
     def _opened(self, bound: Bound, value: Any) -> Any:
-        """A Koord value as the user's code gets it: with values of the user's own classes."""
+        """Convert a Koord value to the user's form, with objects of the user's own classes."""
         match bound:
             case Blob(_, name):
                 return self._made(name, value)
@@ -124,8 +127,11 @@ class Extern:
             raise BadExtern(f"no {name} can be made for {self._name}: {_told(error)}") from error
 
     def _closed(self, bound: Bound, value: Any) -> Any:
-        """What the user's code returned, with sets and maps in their one order and values of the user's classes packed.
-        Where the shape is another, it is left to the conversion to say so. Raises ValueError, TypeError."""
+        """Convert a result to Koord's form.
+
+        Sets and maps in canonical order, objects of the user's classes packed.
+
+        A wrong shape is left to the later conversion to report. Raises ValueError, TypeError."""
         match bound:
             case Blob(_, name):
                 if not isinstance(value, self._library.find(name)):  # type: ignore[arg-type]
@@ -151,7 +157,7 @@ class Extern:
 
 
 def _items(value: Any, fields: tuple[str, ...]) -> tuple[Any, ...]:
-    """The parts of what stands for a tuple or a record: a sequence, a dict by field, any object with these fields."""
+    """Return the parts of a tuple or record: a sequence, a dict by field, or any object with these fields."""
     if isinstance(value, (list, tuple)):
         return tuple(value)
     if not fields or (isinstance(value, dict) and value.keys() != set(fields)):
@@ -170,7 +176,7 @@ def _holds_blob(bound: Bound) -> bool:
 
 
 def shown(value: object) -> str:
-    """Short, whatever the user's `__repr__` does."""
+    """Return a short representation, whatever the user's `__repr__` does."""
     try:
         return reprlib.repr(value)
     except ESCAPES:

@@ -1,7 +1,7 @@
-"""What a generated program offers to the runtime, and how one of its events is run.
+"""Interface between a generated program and the runtime, and the execution of one event.
 
-A generated `program.py` defines one `PROGRAM: Program`. An event works on a Transaction of its own, made by `begin`
-from a `Frame`. Nothing else of the robot can be reached from an event, so to discard an event is to drop that.
+A generated `program.py` defines one `PROGRAM: Program`. An event works on a Transaction of its own, created by `begin`
+from a `Frame`. An event can reach nothing else of the robot, so dropping the Transaction discards the event.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ LONGEST_REASON = 300  # characters
 
 
 def no_ports(port: str, args: tuple[Any, ...]) -> Any:
-    """The `Frame.call` of a robot without callable ports."""
+    """Raise LookupError: `Frame.call` of a robot without callable ports."""
     raise LookupError(f"nothing serves {port}")
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """What a robot knows when it evaluates an event. Keys of `sensors` and `actuators` are "Module.port";
-    `shared` maps an allread variable to its slots by pid and an allwrite variable to its value; `call` answers a
-    callable port, by its name and arguments."""
+    """Input of an event: everything that the robot knows.
+
+    Keys of `sensors` and `actuators` are "Module.port". `shared` maps an allread variable to its slots by pid and an
+    allwrite variable to its value. `call` answers a callable port by name and arguments."""
 
     pid: int
     n_sys: int
@@ -45,9 +46,11 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 class Effects(msgspec.Struct, frozen=True):
-    """What an event did: all locals as they are afterwards, only those shared variables and actuators that it
-    wrote (an equal value counts as written), and the lines it put out, as (port, line) in order. `violated`: the Koord
-    lines of the loop invariants that were false or had no value, each once."""
+    """Result of an event.
+
+    All locals as they are afterwards; only those shared variables and actuators that it wrote (an equal value counts as
+    written); its output lines as (port, line) in order. `violated`: Koord lines of the loop invariants that were false
+    or had no value, each once."""
 
     locals: Mapping[str, Any]
     shared: Mapping[str, Any]
@@ -58,7 +61,7 @@ class Effects(msgspec.Struct, frozen=True):
 
 
 class Life(msgspec.Struct, frozen=True):
-    """A robot's own variables after its event of a round; of round 0, after `init`."""
+    """A robot's private variables after its event of a round; round 0: after `init`."""
 
     round: int
     locals: Mapping[str, Any]
@@ -68,29 +71,32 @@ class Life(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why an event was discarded: the Koord file and line (0 when unknown) and the reason in words. The line is that on
-    which the failing statement begins, within a function the function's; of an extern function's contract, the call's;
-    of a value that must not be kept, that of its last write."""
+    """Reason why an event was discarded: Koord file, line (0 if unknown), and text.
+
+    The line is that of the failing statement, also inside a function; of the call, for a contract of an extern
+    function; of the last write, for an invalid value."""
 
     file: str
     line: int
     reason: str
-    contract: Contract | None = None  # that was broken
+    contract: Contract | None = None  # the broken contract
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.reason}" if self.line else f"{self.file}: {self.reason}"
 
 
 class Stopped(Exception):
-    """Raised by `stop` in generated code: ends the event at once, with what it wrote so far."""
+    """Raised by `stop` in generated code: ends the event at once, keeping its writes so far."""
 
 
-_violated: dict[int, None] = {}  # Koord lines of the loop invariants that did not hold in the event that is run
+_violated: dict[int, None] = {}  # Koord lines of loop invariants that did not hold in the running event
 
 
 def claim(line: int, holds: Callable[[], bool]) -> bool:
-    """Evaluate the loop invariant on a Koord line, for the event that is run. Always true, whatever comes of it: it
-    stands before a loop's condition. Raises NoTurns: an event that has used up its turns is discarded."""
+    """Evaluate the loop invariant on a Koord line, for the running event. Always return True.
+
+    Generated code calls it before a loop's condition. Raises NoTurns: an event that has used up its turns is
+    discarded."""
     try:
         held = holds()
     except NoTurns:
@@ -103,13 +109,14 @@ def claim(line: int, holds: Callable[[], bool]) -> bool:
 
 
 def behind(turns: range) -> int:
-    """The value at which a loop over `turns` ends: the first that it does not take."""
+    """Return the value with which a loop over `turns` ends: the first one outside."""
     return turns.start + len(turns) * turns.step
 
 
 class Cell(Generic[T]):
-    """A variable or an actuator inside an event: reads back what it wrote. `line` is where that was last, in the file
-    of whoever wrote it; 0 when nobody did."""
+    """A variable or an actuator inside an event; reads return what was written.
+
+    `line` is the line of the last write, in the writer's file; 0 if there was none."""
 
     __slots__ = ("_value", "line")
 
@@ -127,13 +134,15 @@ class Cell(Generic[T]):
         self.line = sys._getframe(1).f_lineno
 
     def show(self, value: T) -> None:
-        """Let the event begin with another value. Tools evaluate one event on many states."""
+        """Set the initial value of the event. Tools evaluate one event on many states."""
         self._value = value
         self.line = 0
 
 
 class Slots(Generic[T]):
-    """An allread variable inside an event: anyone's slot can be read, only `own` can be written. `line` as of Cell."""
+    """An allread variable inside an event: all slots are readable, only `own` is writable.
+
+    `line` as in Cell."""
 
     __slots__ = ("_pid", "_values", "line")
 
@@ -149,7 +158,7 @@ class Slots(Generic[T]):
 
     @property
     def all(self) -> tuple[T, ...]:
-        """Every robot's slot, by pid."""
+        """All slots, by pid."""
         return self._values
 
     @property
@@ -162,21 +171,23 @@ class Slots(Generic[T]):
         self.line = sys._getframe(1).f_lineno
 
     def show(self, values: Sequence[T], pid: int) -> None:
-        """Let the event begin with other values, on robot `pid`. See Cell."""
+        """Set the initial values of the event on robot `pid`. See Cell.show."""
         self._values = tuple(values)
         self._pid = pid
         self.line = 0
 
 
 class Transaction:
-    """What one event sees on one robot, and what it has written so far. Generated programs name its parts: they ask
-    `local`, `shared`, `actuator` and `slots` for the cell of each, so a subclass may give cells of its own kind."""
+    """One event's view of its robot, with its writes so far.
+
+    Generated programs request each variable by `local`, `shared`, `actuator` and `slots`, so a subclass may return
+    cells of its own kind."""
 
     def __init__(self, frame: Frame) -> None:
         self.pid = frame.pid
         self.n_sys = frame.n_sys
         self.call = frame.call
-        self.written: dict[str, Cell[Any] | Slots[Any]] = {}  # all that can be
+        self.written: dict[str, Cell[Any] | Slots[Any]] = {}  # all variables that can be written
         self._frame = frame
         self._streams: list[tuple[str, str]] = []
 
@@ -197,16 +208,16 @@ class Transaction:
         return slots
 
     def emit(self, port: str, *parts: str) -> None:
-        """One line to a stream."""
+        """Append one line to a stream."""
         self._streams.append((port, made("".join(parts))))
 
     def news(self) -> dict[str, Any]:
-        """What was written, by name; of an allread variable, the robot's own slot."""
+        """Return the written values by name; of an allread variable, the robot's own slot."""
         written = self.written.items()
         return {name: place.own if isinstance(place, Slots) else place.value for name, place in written if place.line}
 
     def effects(self, found: Mapping[str, Any], stopped: bool) -> Effects:
-        """What the event did, given its `news`."""
+        """Return the event's effects, given its `news`."""
         frame = self._frame
         return Effects(
             {name: found.get(name, value) for name, value in frame.locals.items()},
@@ -220,8 +231,9 @@ class Transaction:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A local or shared variable: `type` is what msgspec decodes it as, `initial` makes its first value, `bound` says
-    how much it may hold."""
+    """A local or shared variable.
+
+    `type`: for decoding by msgspec. `initial` returns its initial value. `bound`: limits of its size."""
 
     name: str
     kind: Literal["local", "allread", "allwrite"]
@@ -232,14 +244,15 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port, named "Module.port". `type` is that of a sensor's or actuator's value, or of a call's result. An actuator
-    has a `bound`, and `unset` makes the value that it has before it is written.
+    """A port, named "Module.port".
 
-    `is_position`: the sensor says where the robot itself is (Point, local ENU, metres). `held`: the sensor whose value
-    the actuator has before it is written, instead of `unset`; the program may not declare it. `clears`: sensors of the
-    program that are true before any command, and false from a command of this actuator on until the robot says
-    otherwise.
-    """
+    `type` is that of a sensor's or actuator's value, or of a call's result. An actuator has a `bound`; `unset` returns
+    its value before it is written.
+
+    `is_position`: the sensor is the robot's own position (Point, local ENU, metres). `held`: the sensor whose value the
+    actuator has before it is written, instead of `unset`; the program may not declare it. `clears`: sensors of the
+    program that are true before any command, and false from a command of this actuator until the robot sets them
+    again."""
 
     name: str
     direction: Literal["sensor", "actuator", "callable", "stream"]
@@ -253,8 +266,9 @@ class Port:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event of the program: its name, the Koord line it stands on, guard and effect over the program's Transaction.
-    `lock` is the index in `Program.locks` of what an atomic event needs the right to; None of a plain event."""
+    """An event of the program: name, Koord line, guard and effect over the program's Transaction.
+
+    `lock` is the index in `Program.locks` of the lock that an atomic event needs; None for a plain event."""
 
     name: str
     line: int
@@ -265,9 +279,11 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A whole generated program. `source` is the Koord file's name; hashes are 16 hexadecimal digits: peers must
-    share `interface_hash` (shared declarations, wire format) always and `program_hash` within one application.
-    `locks` are groups of shared variables; `lines` maps lines of `file` to those of the source."""
+    """A whole generated program.
+
+    `source` is the Koord file's name. Hashes are 16 hexadecimal digits: `interface_hash` (shared declarations, wire
+    format) must be equal for all peers, `program_hash` within one application. `locks` are groups of shared variables.
+    `lines` maps lines of `file` to those of the source."""
 
     name: str
     source: str
@@ -283,11 +299,11 @@ class Program:
     lines: Mapping[int, int]
     locks: tuple[tuple[str, ...], ...] = ()
     library: Library | None = None
-    bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # by name, of all that has one
+    bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # by name, for everything with a bound
 
     @property
     def clears(self) -> dict[str, tuple[str, ...]]:
-        """The sensors that a command of an actuator clears, for each actuator of which there are some."""
+        """For each actuator that clears sensors, the sensors that its command clears."""
         return {port.name: port.clears for port in self.ports if port.clears}
 
     def __post_init__(self) -> None:
@@ -296,8 +312,9 @@ class Program:
 
 
 def choose(program: Program, state: Transaction) -> Event | Fault | None:
-    """The first event in text order whose guard holds, or None. A guard that raises is a Fault; none writes anything,
-    so that all of them and the effect share one Transaction."""
+    """Return the first event in text order whose guard holds, or None. A guard that raises is a Fault.
+
+    Guards write nothing, so all guards and the effect share one Transaction."""
     for event in program.events:
         try:
             if enabled(event, state):
@@ -308,14 +325,15 @@ def choose(program: Program, state: Transaction) -> Event | Fault | None:
 
 
 def enabled(event: Event, state: Transaction) -> bool:
-    """Return whether an event's guard holds. It has turns of its own."""
+    """Return whether an event's guard holds, with a turn count of its own."""
     begin()
     return event.guard(state)
 
 
 def run(program: Program, effect: Callable[[Any], None], state: Transaction, line: int = 0) -> Effects | Fault:
-    """Run one effect, which stands on a Koord line. Whatever it raises, and any value that must not be kept or leave
-    the robot, discards it whole."""
+    """Run one effect, which is on a Koord line. Return its effects, or a Fault.
+
+    An exception, and any value that must not be kept or sent, discards the whole event."""
     stopped = False
     _violated.clear()
     begin()
@@ -333,7 +351,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
 def _refused(
     program: Program, state: Transaction, found: Mapping[str, Any], effects: Effects, line: int
 ) -> Fault | None:
-    """Why what was written does not count, at the line of its last write."""
+    """Return the first invalid value that was written, at the line of its last write."""
     for name, bound in program.bounds.items():
         if name not in found:
             continue
@@ -348,15 +366,18 @@ def _refused(
 
 
 def _flaw(bound: Bound, value: Any) -> str:
-    """Return the flaw of a value that would be kept or sent; empty when it has none. Locals are judged as all else is:
-    NaN never outlives its event, and an int that is squared every round would soon hang the robot."""
+    """Return the flaw of a value that would be kept or sent; "" if there is none.
+
+    Locals are checked like all others: NaN never outlives its event, and an int that is squared every round would soon
+    block the robot."""
     flaw = bound.flaw(value)
     return flaw or ("" if transmissible(value) else f"{reprlib.repr(value)}, which no robot may use")
 
 
 def wrong_first_value(program: Program) -> str | None:
-    """Return why a variable must not begin with its first value, in words; None when all are right. The compiler
-    refuses such first values, too; an agent does not rely on it."""
+    """Return which variable has an invalid initial value; None if all are valid.
+
+    The compiler refuses such initial values, too; an agent does not rely on it."""
     for variable in (*program.locals, *program.shared):
         flaw = _flaw(variable.bound, variable.initial())
         if flaw:
@@ -367,7 +388,7 @@ def wrong_first_value(program: Program) -> str | None:
 def _fault(program: Program, error: Exception) -> Fault:
     line = 0
     trace = error.__traceback__
-    while trace is not None:  # the innermost frame of the generated file is the statement that failed
+    while trace is not None:  # the innermost frame of the generated file is the failing statement
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
@@ -377,4 +398,4 @@ def _fault(program: Program, error: Exception) -> Fault:
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)
 
 
-Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
+Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # calls of callable ports: port, arguments, answer

@@ -1,8 +1,9 @@
-"""What a generated `properties.py` builds on: a program's properties over what is known of a fleet at one moment.
+"""Base of a generated `properties.py`.
 
-Where the values come from is the affair of whoever asks: the simulator puts in the truth, a monitor on a robot what it
-has heard. What is not known is UNKNOWN, and a property that cannot be told without it is "unknown", never held.
-"""
+A program's properties over what is known of a fleet at one time.
+
+The caller provides the values: the simulator the true ones, a monitor on a robot those that it knows. An unknown value
+is UNKNOWN. A property that depends on an unknown value is "unknown", never held."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from koordgen.runtime.values.turns import begin
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
 LONGEST = 300  # characters of a reason
-# Sensors of a body that a harness can measure itself, by their types; what else there is the robot says.
+# Sensors of a vehicle that a simulator can measure itself, with their types. Only the robot knows the others.
 MEASURED = {"position": Point, "velocity": Point, "pose": Pose}
 
 
@@ -33,7 +34,7 @@ UNKNOWN: Final = _Unknown()
 
 
 class Unknown(Exception):
-    """A value that is not known was asked for; the message names it, `robot` is whose it is, -1 of nobody's."""
+    """An unknown value was read. The message names it; `robot` is its owner, -1 for none."""
 
     def __init__(self, what: str, robot: int = -1) -> None:
         super().__init__(what)
@@ -41,7 +42,7 @@ class Unknown(Exception):
 
 
 class Bound(NamedTuple):
-    """What a quantified name stood for; `robot` tells whether that is a robot's pid."""
+    """Value of a quantified name; `robot`: the value is a robot's pid."""
 
     name: str
     value: Any
@@ -49,7 +50,7 @@ class Bound(NamedTuple):
 
 
 class Read(NamedTuple):
-    """A value that was read; `robot` is whose it is, None of an allwrite variable."""
+    """A value that was read; `robot` is its owner, None for an allwrite variable."""
 
     name: str
     robot: int | None
@@ -60,7 +61,7 @@ Trail = list[Bound | Read]
 
 
 class Each(Generic[T]):
-    """A port, a local variable or an allread variable of every robot, by pid. `values` are put in by whoever asks."""
+    """A port, local variable or allread variable of every robot, by pid. The caller sets `values`."""
 
     __slots__ = ("_trail", "name", "values")
 
@@ -81,12 +82,12 @@ class Each(Generic[T]):
 
     @property
     def all(self) -> tuple[T, ...]:
-        """Every robot's, by pid."""
+        """Values of all robots, by pid."""
         return tuple([self[robot] for robot in range(len(self.values))])
 
 
 class One(Generic[T]):
-    """An allwrite variable; in an assumption, a port of the robot that it is about."""
+    """An allwrite variable; in an assumption, a port of its robot."""
 
     __slots__ = ("_trail", "content", "name")
 
@@ -106,15 +107,16 @@ class One(Generic[T]):
 
 
 class Known:
-    """What is known at one moment: by its name in the program everything that a formula reads, of an assumption its
-    one robot's ports, those of the moment after with a prime behind; `pid` is that robot's, or whose knowledge it is
-    (-1: nobody's alone). With a trail it is told what a formula came to: the names that made it false, outermost first,
-    and the values read for them."""
+    """Known values at one time.
+
+    They have their names in the program; in an assumption, ports of its one robot, and primed names for the time after.
+    `pid` is that robot, or the robot whose knowledge it is (-1: nobody's alone). A trail records why a formula was
+    false: the bound names, outermost first, and the values read."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         self.n_sys = n_sys
         self.pid = -1
-        self.asked: Calls = ()  # of callable ports, in the step that an assumption is about
+        self.asked: Calls = ()  # calls of callable ports in the step of an assumption
         self.each: dict[str, Each[Any]] = {}
         self.one: dict[str, One[Any]] = {}
         self._trail = trail
@@ -126,7 +128,7 @@ class Known:
         return self.one.setdefault(name, One(name, self._trail))
 
     def put(self, values: Mapping[str, Any]) -> None:
-        """Take values by their names; what no formula reads is left."""
+        """Set values by name; names that no formula reads are ignored."""
         for name, value in values.items():
             if name in self.each:
                 self.each[name].values = value
@@ -134,20 +136,20 @@ class Known:
                 self.one[name].content = value
 
     def take(self, other: Known) -> None:
-        """Know all that another does."""
+        """Copy all values of another object."""
         self.pid, self.asked = other.pid, other.asked
         self.put({name: each.values for name, each in other.each.items()})
         self.put({name: one.content for name, one in other.one.items()})
 
     def answer(self, port: str, args: tuple[Any, ...]) -> Any:
-        """What a callable port has answered. Raises Unknown where it was not asked."""
+        """Return the recorded answer of a callable port. Raises Unknown if it was not called so."""
         for name, given, answer in self.asked:
             if name == port and given == args:
                 return answer
-        raise Unknown(f"{port}: nobody asked it that")
+        raise Unknown(f"{port}: not called with these arguments")
 
     def every(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:
-        """forall: false for the first that it is false for; unknown where it is for any, and false for none."""
+        """Evaluate forall: false if false for any value; otherwise unknown if unknown for any."""
         trail, unknown, mark = self._trail, None, 0
         for value in domain:
             if trail is not None:
@@ -166,7 +168,7 @@ class Known:
         return True
 
     def own(self, name: str, body: Callable[[int], bool]) -> bool:
-        """forall over robots, of which who knows one alone (`pid`) can tell nothing but for that one."""
+        """Evaluate forall over robots by one robot (`pid`), which knows only its own values."""
         if self.pid < 0 or self.n_sys == 1:
             return self.every(name, range(self.n_sys), body)
         if self.every(name, (self.pid,), body):
@@ -174,7 +176,7 @@ class Known:
         return False
 
     def some(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:
-        """exists: true for the first that it is true for."""
+        """Evaluate exists: true for the first value that makes it true."""
         unknown, mark = None, 0 if self._trail is None else len(self._trail)
         for value in domain:
             try:
@@ -191,8 +193,10 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """`reads`: the names of ports, locals and shared variables in its formula. `surely`: a condition over arrays that
-    is enough for it at many moments, for who evaluates it often; None when it has none."""
+    """A property of the program.
+
+    `reads`: names of ports, locals and shared variables in its formula. `surely`: screening, a vectorised sufficient
+    condition over arrays of many observations; None if there is none."""
 
     kind: Literal["initially", "invariant"]
     name: str
@@ -204,7 +208,7 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class Asking:
-    """A call in an assumption to which goals are handed: the port, how many arguments, the goals' names by place."""
+    """A call pattern in an assumption with goals: port, number of arguments, goal names by argument index."""
 
     port: str
     arguments: int
@@ -213,8 +217,9 @@ class Asking:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Of every robot with the module; with goals, it holds of all calls that were made. `surely` as of a Property, for
-    all robots at once."""
+    """An assumption about every robot with the module.
+
+    With goals, it must hold for all calls made. `surely`: screening as in Property, for all robots at once."""
 
     module: str
     line: int
@@ -224,11 +229,11 @@ class Assumption:
     surely: Callable[[Any], Any] | None = None
 
     def holds_of_calls(self, known: Known) -> bool:
-        """Whether it holds of each combination of goals that was asked for; where none was, it does."""
+        """Return whether it holds for each combination of goals called; true without calls."""
         return all(self.holds(known, **goals) for goals in _asked_for(self.goals, known.asked, {}))
 
     def asked(self, known: Known) -> bool:
-        """Whether there is anything that it says something of."""
+        """Return whether there is any call that it is about."""
         return any(True for _ in _asked_for(self.goals, known.asked, {}))
 
 
@@ -246,7 +251,7 @@ def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Unchecked:
-    """A formula that cannot be evaluated, and why."""
+    """A formula that cannot be evaluated, with the reason."""
 
     kind: str
     name: str
@@ -256,9 +261,10 @@ class Unchecked:
 
 @dataclass(frozen=True, slots=True)
 class Properties:
-    """All of a program. `fleet` and `step` make what its properties and its assumptions are evaluated on, for a fleet
-    of so many robots. `measured`: the sensors that tell of the body's motion, so that whoever has the truth need not
-    ask the robot."""
+    """All properties of a program.
+
+    `fleet` and `step` create the known values for properties and for assumptions, for a fleet of this size. `measured`:
+    sensors that measure the vehicle's motion, so a simulator can use the true values."""
 
     program: Program
     fleet: Callable[[int, Trail | None], Known]
@@ -270,8 +276,10 @@ class Properties:
 
 
 def properties_of(root: Path, program: Program, driven: Collection[str] = ()) -> Properties:
-    """Return the properties of the bundle at `root`, from which `program` was imported. `driven` are the modules that
-    drivers of the user's own serve. A bundle has no file for properties where its program has none."""
+    """Return the properties of the bundle at `root`, from which `program` was imported.
+
+    `driven`: modules served by the user's own drivers. A bundle of a program without properties has no file for
+    them."""
     if not (root / "properties.py").is_file():
         return without_properties(program, driven)
     found: Properties = importlib.import_module("properties").PROPERTIES
@@ -279,7 +287,7 @@ def properties_of(root: Path, program: Program, driven: Collection[str] = ()) ->
 
 
 def without_properties(program: Program, driven: Collection[str] = ()) -> Properties:
-    """Return what there is to tell of a program that has no properties: which sensors are `measured`."""
+    """Return the properties of a program without any: only `measured` is set."""
     measured = []
     for port in program.ports:
         module, _, name = port.name.partition(".")
@@ -289,12 +297,12 @@ def without_properties(program: Program, driven: Collection[str] = ()) -> Proper
 
 
 def judged(holds: Callable[[Known], bool], known: Known) -> tuple[Outcome, str]:
-    """What a formula comes to, and why it has no value or which one is not known."""
+    """Evaluate a formula. Return its verdict, and why it has no value or which value is unknown."""
     begin()
     try:
         return ("held" if holds(known) else "violated"), ""
     except Unknown as unknown:
         return "unknown", str(unknown)
-    except Exception as error:  # of whatever the user's functions raise
+    except Exception as error:  # whatever the user's functions raise
         reason = str(error) or type(error).__name__
         return "no value", reason if len(reason) <= LONGEST else f"{reason[:LONGEST]} ..."

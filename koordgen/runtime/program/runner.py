@@ -1,4 +1,4 @@
-"""Runs one robot's program: its locals, one event at a time, within the time it has."""
+"""Runner of one robot's program: its locals, and one event at a time, within a time limit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import msgspec
 from koordgen.runtime.program.program import Effects, Event, Fault, Frame, Program, choose, run
 from koordgen.runtime.values.clock import Clock
 
-# Names of the reasons for which a robot skips a round: the same in logs, traces, --status, summaries and reports.
+# Reasons for which a robot skips a round: the same names in logs, traces, --status, summaries and reports.
 #
 # A reason is a name, or `NAME: detail`. docs/reference/cli.md and `koordgen explain skip` list the names.
 
@@ -47,25 +47,30 @@ Call = Callable[[str, tuple[Any, ...]], Any]
 
 
 class Overrun(BaseException):
-    """Raised within an event that has used up its time; no `except Exception` of an extern function keeps it."""
+    """Raised in an event that has used up its time.
+
+    `except Exception` in an extern function does not catch it."""
 
 
 class EndedAtOnce(BaseException):
-    """Raised wherever the process is when the user wants it gone; not KeyboardInterrupt, which user code may raise."""
+    """Raised anywhere in the process when the user ends it at once.
+
+    Not KeyboardInterrupt: user code may raise that."""
 
 
 _UNLIMITED = nullcontext()
 
 
 def unlimited(seconds: float) -> AbstractContextManager[None]:
-    """No interruption: an event that takes too long is only noticed when it ends."""
+    """Set no limit: an event that takes too long is detected only at its end."""
     return _UNLIMITED
 
 
 class Interrupting:
-    """`with it(seconds)`: interrupts what runs inside after so many seconds (Overrun), by the process's real-time
-    timer: a loop that does not end must not keep the robot from its control loop. One for the process, which it takes
-    SIGALRM of for good; made in the main thread, where signals arrive."""
+    """Context manager that interrupts its block after `seconds` (raises Overrun), by the real-time timer.
+
+    So an endless loop cannot block the robot's control loop. One object per process, which takes over SIGALRM for good.
+    Create it in the main thread, where signals arrive."""
 
     def __init__(self) -> None:
         self._armed = False
@@ -78,8 +83,8 @@ class Interrupting:
 
     def __enter__(self) -> None:
         self._armed = True
-        try:  # the timer may ring at once, here already
-            # ... and again, should a bare `except` keep the first.
+        try:  # the timer may already ring here
+            # Repeat it, in case a bare `except` catches the first.
             signal.setitimer(signal.ITIMER_REAL, self._seconds, 0.05)
         except BaseException:
             self.__exit__()
@@ -90,15 +95,16 @@ class Interrupting:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
-        # Once the event is over, nothing may keep its end from turning the timer off.
+        # During __exit__ nothing may prevent turning the timer off.
         over = frame is not None and frame.f_code is Interrupting.__exit__.__code__
         if self._armed and not over:
             raise Overrun("out of time")
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none. `lock`: of
-    an atomic event; its effects are there once the fleet has found that its commit counts. -1: of a plain one."""
+    """Result of a round: no event enabled (all None), an event's effects, or a fault without effects.
+
+    `lock`: lock of an atomic event, whose effects count once its commit has won; -1 for a plain event."""
 
     event: str | None = None
     effects: Effects | None = None
@@ -107,7 +113,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 class Runner:
-    """One program on one robot. `locals` are changed by whoever knows that an event counts."""
+    """Runner of one program on one robot. The caller updates `locals` once an event counts."""
 
     def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
         self.program = program
@@ -123,7 +129,7 @@ class Runner:
         return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators, call)
 
     def init(self, frame: Frame) -> Effects | Fault:
-        """Run the program's `init`; without one nothing is written."""
+        """Run the program's `init`, if it has one."""
         if self.program.init is None:
             return Effects(self.locals, {}, {}, False)
         try:
@@ -136,8 +142,9 @@ class Runner:
         return done
 
     def step(self, frame: Frame, deadline: float) -> Outcome:
-        """Choose and run this round's event, the first enabled one; what is not finished by `deadline` (local time) is
-        discarded whole."""
+        """Choose and run this round's event, the first enabled one.
+
+        An event that is not finished by `deadline` (local time) is discarded completely."""
         event: Event | None = None
         done: Effects | Fault
         try:

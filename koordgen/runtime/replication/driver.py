@@ -15,7 +15,7 @@ from koordgen.runtime.replication.replica import Replica
 
 
 class Sender(Protocol):
-    """See `net.speech.Speech`."""
+    """See `net.sender.MessageSender`."""
 
     def round(self, to: Sequence[int], fields: tuple[Any, ...], received: Mapping[int, HeldFragments]) -> None: ...
 
@@ -41,8 +41,10 @@ class Outlet(Protocol):
 
 
 class Driver:
-    """`persist` writes a hard state, `persist_private` the robot's own variables after an event; both return once that
-    survives the end of the process."""
+    """Driver of one replica.
+
+    `persist` writes a hard state, `persist_private` the robot's private variables after an event. Both return once the
+    data survive the end of the process."""
 
     def __init__(
         self,

@@ -10,10 +10,10 @@ from collections.abc import Collection, Sequence
 
 
 class FailureDetector:
-    """Of the `n_sys` robots of a fleet. Silence before round `round_` does not count."""
+    """Failure detector for a fleet of `n_sys` robots. Silence before round `round_` does not count."""
 
     def __init__(self, n_sys: int, round_: int) -> None:
-        self._since = [round_] * n_sys  # of each robot, the round from which on its silence counts
+        self._since = [round_] * n_sys  # for each robot, the round from which on its silence counts
 
     def restart(self, pid: int, round_: int) -> None:
         """Begin anew with a robot whose membership has changed."""

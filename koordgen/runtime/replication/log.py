@@ -15,13 +15,13 @@ import msgspec
 from koordgen.runtime.net.wire import Entry, Write
 
 MOST_BEHIND_GAP = 64  # entries kept while one before them is missing
-MOST_SHARING = 8  # entries of one author that may keep the datagram that they came in alive: most are soon dropped
+MOST_SHARING = 8  # entries per author that may keep their datagram alive; most are soon dropped
 
 Values = Sequence[tuple[int, Any]]
 
 
 class Logged:
-    """An entry, and the values in it by the index of their variables."""
+    """An entry with its values, by the index of their variables."""
 
     __slots__ = ("entry", "values")
 

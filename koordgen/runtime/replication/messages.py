@@ -29,10 +29,11 @@ class Vote:
 
 
 class HardState(msgspec.Struct, frozen=True, gc=False):
-    """Facts that a robot must not contradict. They are on disk before a message that depends on them is sent.
+    """Facts that a robot must not contradict.
 
-    `applied` is the last round that the robot has reported as applied in `view`, or is about to.
-    """
+    They are on disk before a message that depends on them is sent.
+
+    `applied` is the last round that the robot has reported as applied in `view`, or is about to."""
 
     view: View
     applied: int

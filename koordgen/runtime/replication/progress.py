@@ -1,4 +1,6 @@
-"""Progress of the peers, as each reported it last: what it has applied, and what it lacks. The commit index follows."""
+"""Progress of the peers by their last reports: rounds applied and entries missing.
+
+Yields the commit index."""
 
 from __future__ import annotations
 
@@ -17,19 +19,18 @@ def majority(n_sys: int) -> int:
 
 @dataclass(slots=True)
 class Progress:
-    """One peer.
+    """Progress of one peer.
 
-    Its reports only move forward: (view, applied) never decreases within an incarnation.
-    """
+    Its reports only move forward: (view, applied) never decreases within an incarnation."""
 
-    heard: int = LONG_AGO  # the tick at which a message of the peer arrived last
-    view: int = -1  # the view of its last report; -1: none since it was admitted
+    heard: int = LONG_AGO  # tick of the last message from the peer
+    view: int = -1  # view of its last report; -1: none since it was admitted
     applied: int = 0  # the last round that it has reported as applied in that view
-    wanted: int = 0  # the last round that it wanted entries of
-    lacks: bool = False  # it lacks entries up to `wanted`, and they were not sent to it since it said so
-    held: Sequence[int] = ()  # then: of each robot, the last round that it holds; empty: `applied` for all
-    informed: int = -1  # the tick at which it was last sent the present view
-    asked_to_join: int = LONG_AGO  # the tick at which it last asked to be admitted
+    wanted: int = 0  # the last round whose entries it needs
+    lacks: bool = False  # it lacks entries up to `wanted` that were not sent since its report
+    held: Sequence[int] = ()  # at that report: for each robot, the last round that it holds; empty: `applied` for all
+    informed: int = -1  # tick at which the present view was last sent to it
+    asked_to_join: int = LONG_AGO  # tick of its last request to be admitted
     received: Mapping[int, HeldFragments] = field(
         default_factory=dict
     )  # by author: fragments of the next entry that it has
@@ -39,11 +40,10 @@ class Progress:
         self.view, self.applied, self.wanted, self.lacks = -1, 0, 0, False
 
     def report(self, view: int, applied: int, held: Sequence[int], wanted: int, again: bool) -> bool:
-        """Note a report. Return whether the peer has applied more.
+        """Record a report. Return whether the peer has applied more rounds.
 
-        `held`: of each robot, the last round that the peer holds; empty: `applied` for all. `wanted`: the last round
-        that the peer needs entries of. `again`: it asks for them although it has asked before.
-        """
+        `held`: for each robot, the last round that the peer holds; empty: `applied` for all. `wanted`: the last round
+        whose entries the peer needs. `again`: the peer repeats its request."""
         moved = view >= self.view and applied >= self.applied and (applied > self.applied or view > self.view)
         if moved:
             self.view, self.applied = view, applied

@@ -1,9 +1,8 @@
-"""Rejoin and state transfer: how a robot that is no member, or has lost the store, comes back.
+"""Rejoin and state transfer: return of a robot that is no member, or has lost its store.
 
-1. It asks all robots to admit it (Want with incarnation -1). A view change gives it a new incarnation.
+1. It asks all robots to admit it (RejoinRequest with incarnation -1). A view change gives it a new incarnation.
 2. It closes its rounds with silent entries, so that no other robot waits for it.
-3. It fetches a snapshot of the store, fragment by fragment, from one member at a time.
-"""
+3. It fetches a snapshot of the store, fragment by fragment, from one member at a time."""
 
 from __future__ import annotations
 
@@ -22,12 +21,11 @@ SNAPSHOTS = 2  # kept in fragments for robots that have begun to fetch them
 
 @dataclass(slots=True)
 class Rejoin:
-    """The robot that comes back.
+    """State of a robot that rejoins.
 
-    `since`: the number of the view that it knew when it fell out. `fragments`: those of the snapshot after `round`
-    that are here, from the member number `source`. `arrived`: the tick of the last new fragment, or of the last
-    change of the source. `silent`: the rounds closed since then, without events.
-    """
+    `since`: number of the view that it knew when it was removed. `fragments`: fragments received of the snapshot after
+    `round`, from the member with index `source`. `arrived`: tick of the last new fragment, or of the last change of the
+    source. `silent`: the rounds closed since then, without events."""
 
     pid: int
     since: int
@@ -38,7 +36,7 @@ class Rejoin:
     silent: Entry | None = None
 
     def incarnation(self, view: View) -> int:
-        """Return the incarnation under which the robot is a member again; -1: it is not yet."""
+        """Return the incarnation under which the robot is a member again; -1 if it is not yet."""
         own = view.members[self.pid]
         return own if own > self.since else -1
 
@@ -52,7 +50,7 @@ class Rejoin:
         return self.silent
 
     def poll(self, tick: int, view: View) -> list[Send]:
-        """Ask to be admitted, or for the fragments of the snapshot that are missing."""
+        """Request admission, or the missing fragments of the snapshot."""
         others = [p for p in range(len(view.members)) if p != self.pid]
         incarnation = self.incarnation(view)
         if incarnation < 0:
@@ -67,7 +65,7 @@ class Rejoin:
         return [Send([members[self.source % len(members)]], RejoinRequest, (view.number, incarnation, *place))]
 
     def step(self, fragment: SnapshotFragment, tick: int) -> Snapshot | str | None:
-        """Take a fragment. Return the snapshot once it is complete, or why the fragment is refused."""
+        """Add a fragment. Return the snapshot once it is complete, or why the fragment is refused."""
         if self.fragments is None:
             self.fragments, self.round = Reassembly(fragment.digest, fragment.count), fragment.round
         refused = self.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
@@ -82,7 +80,7 @@ class Rejoin:
 
 
 class Snapshots:
-    """The members that help it: encoded snapshots in fragments of `room` bytes."""
+    """Snapshots for robots that rejoin, encoded and cut into fragments of `room` bytes."""
 
     def __init__(self, room: int) -> None:
         self._room = room
@@ -91,9 +89,8 @@ class Snapshots:
     def answer(self, sender: int, want: RejoinRequest, applied: int, take: Callable[[], Snapshot]) -> list[Send]:
         """Return the fragments that `sender` lacks, of the snapshot that it has begun to fetch.
 
-        If that is not kept, or it has none, they are of the present store, which contains all rounds up to `applied`;
-        `take` is called for that one only if there is no snapshot of it yet.
-        """
+        If that snapshot is gone, or it has begun none, a snapshot of the present store is used, which contains all
+        rounds up to `applied`. `take` is called only if no such snapshot exists yet."""
         known = [k for k in self._kept if k[0] == want.round and k[1][0][0] == want.digest]
         if not known and (not self._kept or self._kept[-1][0] != applied):
             self._kept = [*self._kept[1 - SNAPSHOTS :], (applied, cut(encoder.encode(take()), self._room))]

@@ -40,18 +40,17 @@ from koordgen.runtime.replication.state_machine import AHEAD, StateMachine
 from koordgen.runtime.replication.views import Report, Views, is_possible
 
 TICKS = 5  # in a round
-REQUEST_TICK = 3  # the tick of a round from which on its own entries are requested, before it those of the last one
-JOIN_TICKS = 3 * TICKS  # for which a request to join counts
-HEARD_TICKS = 2 * TICKS  # for which a robot counts as one that can be heard
+REQUEST_TICK = 3  # from this tick of a round on, entries of this round are requested, before it those of the last round
+JOIN_TICKS = 3 * TICKS  # for which a request to join is valid
+HEARD_TICKS = 2 * TICKS  # for which a robot counts as reachable after a message
 SETTLE_AFTER = 3  # rounds that `settled` may stay behind
 
 
 class Replica:
-    """One robot's replica.
+    """Replica of one robot.
 
-    `state` is its copy of the store, or None while it has none that counts: after its process began anew, or after a
-    view without it. `hard_state` is what was persisted last. `room`: bytes of a message for a fragment of a snapshot.
-    """
+    `state` is its copy of the store, or None if it has no valid one: after a restart of its process, or after a view
+    without it. `hard_state` is the last persisted one. `room`: bytes of a message for a fragment of a snapshot."""
 
     def __init__(
         self,
@@ -67,9 +66,10 @@ class Replica:
         self._peer_timeout = peer_timeout  # rounds
         self._others = tuple([p for p in range(self._n) if p != pid])
         self.peers = {p: Progress() for p in self._others}
-        self._tick, self.round = 0, 1  # the present tick, and the present round, which it is in
+        self._tick, self.round = 0, 1  # the present tick and round
         self.state = state
-        self._spare: StateMachine | None = None  # from the beginning of a view without this robot: all others may die
+        # store at the beginning of a view without this robot, in case all others die
+        self._spare: StateMachine | None = None
         self.rejoin = None if state is not None else Rejoin(pid, hard_state.view.number)
         self.acknowledged = hard_state.applied  # the last round that this robot has reported as applied, or may report
         self.views = Views(pid, hard_state.view, hard_state.vote, self.promise_report, self._holds_all, self._adopted)
@@ -77,11 +77,11 @@ class Replica:
         self._detector = FailureDetector(self._n, self.round)
         self._assembly = Assembly()
         self._snapshots = Snapshots(room)
-        self._turn = pid  # grows with each request; says who is asked of many
-        self._join_asked = -JOIN_TICKS  # the tick at which some robot asked last to join
+        self._turn = pid  # increases with each request; selects one of many recipients
+        self._join_asked = -JOIN_TICKS  # tick of the last request to join by any robot
         self.published = hard_state.applied if state is None else state.logs[pid].held  # last own round that was sent
         self.emergency = False  # this robot knows of an emergency stop
-        self.store_changes = 0  # times that the store was replaced, or lost, instead of going on
+        self.store_changes = 0  # number of times that the store was replaced or lost
         self._persisted = hard_state
         self._applied = Applied(-1, -1)  # as last returned by `ready`
         self._private: object = None
@@ -91,7 +91,7 @@ class Replica:
         self._moved = 0, self.round  # the last applied round, and the round in which it was applied
         self._has_progress = True  # reports, the applied round or the view have changed since `ready` was called
 
-    # State, as the rounds see it.
+    # State for the room's users.
 
     @property
     def is_out(self) -> bool:
@@ -105,14 +105,14 @@ class Replica:
 
     @property
     def status(self) -> str:
-        """In words, why there is no store."""
+        """The reason why there is no store, as text."""
         if self.rejoin is not None and self.rejoin.incarnation(self.views.view) >= 0:
-            return f"{NOT_CURRENT}: let in again, gathers the shared store"
-        return f"{NOT_CURRENT}: does not count in the fleet, asks to be let in"
+            return f"{NOT_CURRENT}: admitted again, receives the shared store"
+        return f"{NOT_CURRENT}: removed from the fleet, asks to rejoin"
 
     @property
     def laggard(self) -> int:
-        """The member that, by its own reports, has applied least."""
+        """The member that has applied the fewest rounds, by its own reports."""
         applied = self._member_progress()
         return min(applied, key=lambda p: applied[p], default=self.pid)
 
@@ -227,7 +227,7 @@ class Replica:
             self._send_round([p for p in self.state.awaiting if p != self.pid], round_)
 
     def declare_emergency(self) -> None:
-        """Tell the other robots to stop: at once, and with every further round message."""
+        """Announce an emergency stop: at once, and with every further round message."""
         self.emergency = True
         self._send_round(self._others, 0)
 
@@ -279,10 +279,11 @@ class Replica:
     # Time.
 
     def tick(self, tick: int) -> bool:
-        """Begin a tick, counted from round 1 on: look for suspects, for robots that join, and after the own rejoin.
+        """Begin a tick, counted from round 1.
 
-        Return False if there was nothing to do, as at the beginning of nearly all rounds.
-        """
+        Check for suspects and joining robots, and continue an own rejoin.
+
+        Return False if there was nothing to do, as at the beginning of nearly all rounds."""
         self._tick = self.views.tick = tick
         self.round = tick // TICKS + 1
         if self.emergency:
@@ -304,7 +305,7 @@ class Replica:
         return True
 
     def _is_calm(self) -> bool:
-        """Return whether, as at the beginning of nearly all rounds, nothing is late, and no view change is wanted."""
+        """Return whether nothing is late and no view change is needed: true at the start of most rounds."""
         calm = not self.is_busy and self._join_asked <= self._tick - JOIN_TICKS
         return calm and self.state is not None and self.state.applied >= self.round - 1
 
@@ -400,10 +401,10 @@ class Replica:
         if peer.report(message.view, message.applied, message.held, through, again=True):
             self._has_progress = True
         received = peer.received = {p.author: p for p in message.received}
-        has_ours = message.held[self.pid] >= through  # it wants only what other robots wrote
+        has_ours = message.held[self.pid] >= through  # it needs only entries of other robots
         helps = has_ours or is_helper(self.pid, sender, self.round, self._n)
         entries = self._lacked_entries(state, sender, helps)
-        if entries or has_ours:  # else our entry is still to come, and goes to all
+        if entries or has_ours:  # otherwise this robot's entry is still to come, and will go to all
             self._send_round([sender], self.round, entries, received)
 
     def _fragment(self, fragment: Fragment) -> None:
@@ -440,7 +441,7 @@ class Replica:
             self._restore(rejoin, found)
 
     def _restore(self, rejoin: Rejoin, snapshot: Snapshot) -> None:
-        """Go on with the store of a snapshot."""
+        """Continue with the store of a snapshot."""
         view, state = self.views.view, None
         is_of_view = is_possible(snapshot.view, self._n) and snapshot.view.number == view.number
         if is_of_view and snapshot.applied >= view.since - 1:
@@ -455,12 +456,12 @@ class Replica:
         self._detector.restart_all(self.round)
 
     def _lose_store(self, since: int) -> None:
-        """Go on without a store, and ask to be admitted by a view after number `since`."""
+        """Continue without a store, and ask to be admitted by a view after number `since`."""
         self.rejoin = Rejoin(self.pid, since, arrived=self._tick)
         self._replace(None)
 
     def _replace(self, state: StateMachine | None) -> None:
-        """Go on with another store, or none."""
+        """Replace the store by another one, or by none."""
         self.state = state
         self._has_progress = True
         self.store_changes += 1
@@ -478,7 +479,7 @@ class Replica:
         self._freeze()
 
     def _inform(self, sender: int, view: int) -> None:
-        """Send the present view to a robot that goes by an earlier one, at most once a tick."""
+        """Send the present view to a robot that uses an earlier one, at most once a tick."""
         peer = self.peers[sender]
         if view < self.views.view.number and peer.informed != self._tick:
             peer.informed = self._tick
@@ -489,17 +490,16 @@ class Replica:
             self.state.is_frozen = self.views.is_frozen
 
     def promise_report(self) -> Report:
-        """Return what this robot promises with. From now on it counts as reported."""
+        """Return this robot's report for a promise. From now on it counts as reported."""
         if self.state is not None:
             self.acknowledged = self.state.applied
         return Report(self.views.view.number, self.acknowledged, self.state is not None or self._spare is not None)
 
     def _holds_all(self, value: View) -> bool:
-        """Return whether this robot's vote helps a view to last.
+        """Return whether this robot may vote for a view.
 
-        It does not if the robot would lose its store by the view, or lacks entries from before it, or has no store and
-        is no member of it. Else the entries that such a view begins with could be held by one robot alone.
-        """
+        It may not if the view would make it lose its store, or it lacks earlier entries, or it has no store and is no
+        member of the view. Otherwise the entries that such a view begins with could be held by one robot alone."""
         state, last = self.state, value.since - 1
         if state is None:
             return value.members[self.pid] >= 0
@@ -507,7 +507,7 @@ class Replica:
         return stays and (state.applied >= last or not state.missing(last))
 
     def _adopted(self, before: View) -> None:
-        """Go by the view that was decided."""
+        """Switch to the decided view."""
         view, state, own = self.views.view, self.state, self.views.view.members[self.pid]
         self._has_progress = True
         is_next = view.number == before.number + 1
@@ -527,7 +527,7 @@ class Replica:
                 self.rejoin.silent = None
 
     def _leave(self, before: View, is_next: bool) -> None:
-        """Take the store back to the beginning of the view, keep it aside, or lose it: it does not go on."""
+        """Rewind the store to the beginning of the view, keep it as spare, or lose it."""
         view, last = self.views.view, self.state or self._spare
         kept = last if last is not None and is_next and last.rewind(view) else None
         if self.state is not None:

@@ -1,4 +1,6 @@
-"""View schedule: which view counts in which round, from the next round to be applied on. Nearly always there is one."""
+"""View schedule: the view of each round, from the next round to be applied on.
+
+Usually there is one view."""
 
 from __future__ import annotations
 
@@ -8,15 +10,14 @@ from itertools import pairwise
 from koordgen.runtime.net.wire import Entry, View
 from koordgen.runtime.replication.log import Log, is_silent, shortened
 
-FAR = 2**53  # a round that never comes
+FAR = 2**53  # a round that is never reached
 
 
 class Schedule:
-    """Views from `first`, the view of the next round to be applied, on.
+    """Views from `first` on, which is the view of the next round to be applied.
 
-    `members` are the robots in `first`. `is_single`: no later view is known.
-    Invariant: the views have consecutive numbers, and each begins no earlier than the one before it.
-    """
+    `members` are the robots in `first`. `is_single`: no later view is known. Invariant: the views have consecutive
+    numbers, and each begins no earlier than the one before it."""
 
     def __init__(self, view: View) -> None:
         self._views = [view]
@@ -28,22 +29,22 @@ class Schedule:
         self.is_single = False
 
     def drop(self, applied: int) -> None:
-        """Drop the views that are over: all rounds up to `applied` are applied."""
+        """Drop the views that have ended: all rounds up to `applied` are applied."""
         while len(self._views) > 1 and self._views[1].since <= applied + 1:
             del self._views[0]
         self.first, self.is_single = self._views[0], len(self._views) == 1
         self.members = [pid for pid, incarnation in enumerate(self.first.members) if incarnation >= 0]
 
     def at(self, round_: int) -> View:
-        """Return the view of a round that is not applied yet."""
+        """Return the view of a round that is not yet applied."""
         return next(v for v in reversed(self._views) if v.since <= round_ or v is self.first)
 
     def end(self, round_: int) -> int:
-        """Return the last round of the view that `round_` is in; FAR for the latest view."""
+        """Return the last round of the view that contains `round_`; FAR for the latest view."""
         return min((v.since - 1 for v in self._views if v.since > round_), default=FAR)
 
     def valid_part(self, entry: Entry) -> Entry | None:
-        """Return the entry as far as its author was a member with that incarnation, or None."""
+        """Return the part of an entry during which its author was a member with that incarnation, or None."""
         author, incarnation = entry.author, entry.incarnation
         if self.at(entry.round).members[author] == incarnation:
             return entry
@@ -54,7 +55,7 @@ class Schedule:
         return None
 
     def skip_absences(self, logs: Sequence[Log]) -> None:
-        """Let logs skip the rounds before the latest view in which their author was no member."""
+        """Skip in all logs the rounds before the latest view in which the log's author was no member."""
         for pid, log in enumerate(logs):
             for first, last in self._absences(pid):
                 if first <= log.held + 1 <= last:

@@ -1,9 +1,10 @@
-"""Replicated state machine: one robot's copy of the shared store, and the logs of all robots that it is made from.
+"""Replicated state machine.
+
+One robot's copy of the shared store, and the logs of all robots that it is made from.
 
 S_r is the store at the beginning of round r. S_1 is made of initial values and everyone's `init`; S_{r+1} is S_r with
 the entries of round r applied, of the robots that are members in it: first one commit for each lock, then the plain
-writes by ascending pid. So two robots that have applied the same rounds have equal stores.
-"""
+writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
 
 from __future__ import annotations
 
@@ -16,18 +17,17 @@ from koordgen.runtime.replication.apply import Store, arbitrate, merge
 from koordgen.runtime.replication.log import Log, Logged
 from koordgen.runtime.replication.schedule import Schedule
 
-AHEAD = 8  # rounds that a peer's clock may be ahead of ours
-DROP_EVERY = 4  # rounds: to go through all logs costs more than to keep some entries a little longer
-WINDOW = 256  # entries of one author that not every member holds; beyond that, the author runs no more events
+AHEAD = 8  # rounds that a peer's clock may be ahead of this robot's
+DROP_EVERY = 4  # rounds: visiting all logs costs more than keeping some entries a little longer
+WINDOW = 256  # entries of one author that not every member holds; an author with more runs no events
 NO_INCARNATION = -2  # equals the incarnation of no entry and of no robot
-MOST_PAST = 16  # stores kept before those that cannot be needed any more are dropped
+MOST_PAST = 16  # stores kept before those that are no longer needed are dropped
 
 
 class StateMachine:
     """One robot's copy of the store, and the logs.
 
-    Invariant: settled <= committed <= applied <= held by this robot of its own entries.
-    """
+    Invariant: settled <= committed <= applied <= last own entry held."""
 
     def __init__(
         self,
@@ -49,16 +49,16 @@ class StateMachine:
         self.committed = min(applied, view.since - 1)  # no later view can leave out a round up to this one
         self.settled = 0  # every member holds all entries up to this round
         self.arrived = [0] * self._n  # of each robot, the round in which a new entry of it arrived last
-        self.lacking = 0  # members whose entry of round applied + 1 is not here
-        self._incarnations: Sequence[int] = ()  # those that entries are compared with
+        self.lacking = 0  # number of members whose entry of round applied + 1 is missing
+        self._incarnations: Sequence[int] = ()  # incarnations that entries must have
         self.is_frozen = False  # no round at or after the beginning of the latest view may be applied
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round in which the robot stopped
-        self.acted = list(acted) or [0] * self._n  # of each robot, the last round in which an event of it counted
-        self.won = 0  # the last round in which a commit of this robot counted
-        self.awaiting: tuple[int, ...] = ()  # robots that wait to hear that the last applied round was applied
-        self.unfit = 0  # patches that fitted no value: a fault of their author, ignored by all robots alike
-        self._past = [(applied, shared, self.acted)]  # stores that a view change may have to go back to
+        self.acted = list(acted) or [0] * self._n  # for each robot, the last round in which its event counted
+        self.won = 0  # the last round in which this robot's commit won
+        self.awaiting: tuple[int, ...] = ()  # robots that wait for a report that the last applied round was applied
+        self.unfit = 0  # patches that fitted no value: a fault of their author, ignored by all robots equally
+        self._past = [(applied, shared, self.acted)]  # stores that a view change may rewind to
         self._dropped = 0  # settled entries were dropped up to this round
         self._update()
 
@@ -89,12 +89,12 @@ class StateMachine:
 
     @property
     def held(self) -> tuple[int, ...]:
-        """Of each robot, the last round up to which its entries are held without a gap."""
+        """For each robot, the last round up to which its entries are held without a gap."""
         return tuple([log.held for log in self.logs])
 
     @property
     def is_full(self) -> bool:
-        """True if this robot must run no more events, because others lag too far behind to be sent more entries."""
+        """True if this robot must run no events, because others lag too far behind to receive entries."""
         log = self.logs[self._pid]
         return log.held - self.settled > WINDOW // 2 and len(log.kept) >= WINDOW
 
@@ -172,12 +172,12 @@ class StateMachine:
         return None
 
     def _note_held(self, author: int, before: int) -> None:
-        """Count one entry less that is lacking, if the author's entries reach beyond `applied` now and did not."""
+        """Decrement `lacking` if the author's entries now reach beyond `applied` and did not before."""
         if before <= self.applied < self.logs[author].held and self._schedule.first.members[author] >= 0:
             self.lacking -= 1
 
     def settle(self, through: int) -> None:
-        """Note that every member holds all entries up to a round. They are dropped sooner or later."""
+        """Record that every member holds all entries up to a round. They are dropped later."""
         if through > self.settled:
             self.settled = through
             if through >= self._dropped + DROP_EVERY:
@@ -188,7 +188,7 @@ class StateMachine:
     # Rounds.
 
     def apply_rounds(self) -> bool:
-        """Apply rounds as long as all their entries are here. Return whether there was one."""
+        """Apply rounds as long as all their entries are held. Return whether there was one."""
         before = self.applied
         while not self.lacking and not (self.is_frozen and self.applied >= self.view.since - 1):
             round_ = self.applied + 1
@@ -242,11 +242,11 @@ class StateMachine:
         past.append((self.applied, self.shared, self.acted))
 
     def _update(self) -> None:
-        """Update what depends on the applied round and on the view."""
+        """Update all values that depend on the applied round and on the view."""
         if not self._schedule.is_single:
             self._schedule.skip_absences(self.logs)
             self._schedule.drop(self.applied)
-        # While several views are scheduled, `valid_part` must look at each entry.
+        # While several views are scheduled, `valid_part` must check each entry.
         self._incarnations = self.view.members if self._schedule.is_single else (NO_INCARNATION,) * self._n
         self._count()
 
@@ -257,8 +257,9 @@ class StateMachine:
     # Views.
 
     def adopt(self, view: View) -> None:
-        """Go by the next view. Entries of robots that are no members any more, or have a new incarnation, are dropped
-        from its beginning on."""
+        """Switch to the next view.
+
+        Entries from its beginning on are dropped if their authors are no longer members or have a new incarnation."""
         self._truncate(view)
         self._schedule.append(view)
         self.view = view
@@ -266,10 +267,11 @@ class StateMachine:
         self._update()
 
     def rewind(self, view: View) -> bool:
-        """Go by the next view, and back to the store with which it begins. Return False if that is not known any more.
+        """Switch to the next view, and rewind to the store with which it begins.
 
-        That is for a robot that has applied more than the majority. Its events since then do not count.
-        """
+        Return False if that store is gone.
+
+        For a robot that has applied more than the majority. Its events since then do not count."""
         last = view.since - 1
         found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)
         if found is None or self.applied < last:

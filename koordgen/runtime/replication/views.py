@@ -1,15 +1,15 @@
-"""View change: group membership by consensus. A view is the set of robots that count from some round on.
+"""View change: group membership by consensus. A view is the set of member robots from some round on.
 
-Each view is decided by one instance of Paxos (Lamport, "The part-time parliament", 1998); all N robots are acceptors,
-also those that are no members at present. The proposer makes the value of view w+1 from the promises that it got:
+Each view is decided by one instance of Paxos (Lamport, "The part-time parliament", 1998). All N robots are acceptors,
+also those that are no members at present. The proposer derives the value of view w+1 from the promises that it
+received:
 
-- Members are the robots that promised. Robots that have kept the store keep their incarnation, the others get a new one
-  and must transfer the state.
+- Members are the robots that promised. Robots that still have the store keep their incarnation; the others get a new
+one and need a state transfer.
 - The rounds of view w end with the last one that a majority may have reported as applied: no committed round is lost.
 
 A robot that has promised applies no further round until the view is decided (it is frozen). A robot votes only if it
-holds all entries of the rounds before the new view, so the view begins from entries that a majority holds.
-"""
+holds all entries of the rounds before the new view, so a majority holds the entries that the view begins with."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ from koordgen.runtime.net.wire import MAX_ROBOTS, Accept, Accepted, Ballots, Dec
 from koordgen.runtime.replication.messages import Send, Vote
 from koordgen.runtime.replication.progress import majority
 
-STAGGER = 10  # ticks that each robot waits longer than the one before it, so that proposers do not outbid one another
-GRACE = 5  # ticks that a proposer with a majority waits for further robots that it expects
+STAGGER = 10  # ticks of waiting per rank, so that proposers do not outbid one another
+GRACE = 5  # ticks that a proposer with a majority waits for further expected robots
 
 
 class Report(NamedTuple):
-    """Report that a robot makes of itself when it promises.
+    """Report of a robot with its promise.
 
     `view`: its latest view. `applied`: the last round that it has reported as applied in it. `has_store`: it is a
-    member and still has the store after that round. `accepted`: the value it has voted for, in ballot `voted`.
-    """
+    member and still has the store after that round. `accepted`: the value it has voted for, in ballot `voted`."""
 
     view: int
     applied: int
@@ -57,22 +56,22 @@ def accept(vote: Vote, ballot: int, value: View) -> Vote | None:
 
 
 def bound_value(reports: Mapping[int, Report], absent: int, n_sys: int) -> View | None:
-    """Return the value that may have been decided already; of several, the one with the highest ballot.
+    """Return the value that may already be decided; of several, the one with the highest ballot.
 
-    A value that too few robots can have voted for binds nobody, even if all `absent` ones did.
-    """
+    A value for which no majority can have voted, even with all `absent` robots, is not binding."""
     votes = Counter(r.accepted for r in reports.values() if r.accepted is not None)
     possible = [r for r in reports.values() if r.accepted is not None and votes[r.accepted] + absent >= majority(n_sys)]
     return max(possible, key=lambda r: r.voted).accepted if possible else None
 
 
 def choose(view: View, reports: Mapping[int, Report]) -> View | None:
-    """Return the successor of `view` that its proposer may put to the vote; None while the promises do not suffice.
+    """Return the successor of `view` that its proposer may put to the vote.
 
-    The rounds of `view` end with the last one that a majority may have reported as applied, including robots that lost
-    their store and absent ones. A robot that has applied more becomes a new incarnation with the store of that round;
-    its events since do not count.
-    """
+    None if promises do not suffice.
+
+    The rounds of `view` end with the last one that a majority may have reported as applied, counting absent robots and
+    robots that lost their store. A robot that has applied more becomes a new incarnation with the store of that round;
+    its events since then do not count."""
     n_sys = len(view.members)
     absent = n_sys - len(reports)
     if len(reports) < majority(n_sys):
@@ -82,7 +81,7 @@ def choose(view: View, reports: Mapping[int, Report]) -> View | None:
         return bound
     present = [r for r in reports.values() if r.view == view.number]
     applied = sorted((r.applied for r in present), reverse=True)
-    needed = majority(n_sys) - absent  # reports of those here that make a majority with all absent ones
+    needed = majority(n_sys) - absent  # reports that make a majority together with all absent robots
     last = max(view.since - 1, applied[needed - 1] if needed <= len(applied) else 0)
     if not any(r.has_store and r.applied >= last for r in present):
         return None
@@ -109,7 +108,7 @@ def is_possible(view: View, n_sys: int) -> bool:
 
 
 def describe(view: View, names: Sequence[str]) -> str:
-    """Return in words who counts in a view."""
+    """Return the membership of a view as text."""
     out = [name for name, m in zip(names, view.members, strict=True) if m < 0]
     back = [name for name, m in zip(names, view.members, strict=True) if m == view.number]
     parts = [f"{', '.join(out)} {'does' if len(out) == 1 else 'do'} not count" if out else "all robots count"]
@@ -120,10 +119,9 @@ def describe(view: View, names: Sequence[str]) -> str:
 
 @dataclass(slots=True)
 class _Proposal:
-    """This robot's proposal for the next view.
+    """Proposal of this robot for the next view.
 
-    `promised_at`: the tick at which a majority had promised. `value` is put to the vote once it is set.
-    """
+    `promised_at`: the tick at which a majority had promised. `value` is put to the vote once it is set."""
 
     ballot: int
     begun: int
@@ -135,12 +133,11 @@ class _Proposal:
 
 
 class Views:
-    """One robot as acceptor, and as proposer if need be. Messages to send are returned.
+    """Acceptor, and if needed proposer, on one robot. Methods return messages to send.
 
-    `view`: the latest view that this robot knows to be decided. `vote`: see Vote; the caller persists both before it
-    sends. `report` gives what the robot can say of itself now. `holds_all` returns whether it may vote for a view: it
-    holds the entries of all rounds before it, if it has a store. `adopted` is called with the view before.
-    """
+    `view`: the latest view known to be decided. `vote`: see Vote; the caller persists both before it sends. `report`
+    returns the robot's present report. `holds_all` returns whether it may vote for a view: with a store, only if it
+    holds the entries of all rounds before it. `adopted` is called with the previous view."""
 
     def __init__(
         self, pid: int, view: View, vote: Vote, report: Callable[[], Report], holds_all: Callable[[View], bool],
@@ -152,8 +149,8 @@ class Views:
         self._holds_all = holds_all
         self._adopted = adopted
         self._proposal: _Proposal | None = None
-        self._reason: int | None = None  # the tick since which there is a reason for another view
-        self._no_joins_before = 0  # a tick: after a view change, robots that want to join wait
+        self._reason: int | None = None  # tick since which another view is needed
+        self._no_joins_before = 0  # tick; after a view change, joining robots wait until then
         self.tick = 0
         self.view = view
         self.vote = vote
@@ -169,13 +166,13 @@ class Views:
         return self._reason is not None or self.is_frozen
 
     def poll(self, tick: int, suspected: Collection[int], joining: Collection[int]) -> list[Send]:
-        """Begin or go on with a proposal if members are suspected, robots want to join, or this robot is frozen."""
+        """Begin or continue a proposal if members are suspected, robots want to join, or this robot is frozen."""
         self.tick = tick
         report = self._report() if suspected or joining or self.is_frozen else None
         if report is None or not report.has_store:
             self._reason = self._proposal = None
             return []
-        if self.vote.number > self.view.number + 1:  # other robots know a later view and will say so
+        if self.vote.number > self.view.number + 1:  # other robots know a later view and will send it
             return []
         if self._reason is None:
             self._reason = tick
@@ -209,7 +206,7 @@ class Views:
                 return []
 
     def adopt(self, value: View) -> bool:
-        """Go by a decided view. Return whether it is new."""
+        """Switch to a decided view. Return whether it is new."""
         if value.number <= self.view.number:
             return False
         before, self.view = self.view, value
@@ -237,13 +234,13 @@ class Views:
         if value.number <= self.view.number:
             return [Send((sender,), Decided, (self.view,))]
         vote = accept(self.vote, message.ballot, value)
-        if vote is None or not self._holds_all(value):  # the proposer will ask again
+        if vote is None or not self._holds_all(value):  # the proposer will repeat its request
             return []
         self.vote = vote
         return [Send((sender,), Accepted, (value.number, message.ballot))]
 
     def _with_vote(self, report: Report) -> Report:
-        """Return the report with what this robot has voted for. It has promised for the number in question."""
+        """Return the report with this robot's vote. It has promised for the view number in question."""
         return report._replace(voted=self.vote.voted, accepted=self.vote.value)
 
     # Proposer.
@@ -251,7 +248,8 @@ class Views:
     def _begin(self, report: Report, expected: Collection[int]) -> _Proposal:
         number = self.view.number + 1
         bound = self.vote.promised if self.vote.number == number else 0
-        ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + self._pid  # unique to this robot, above all it has seen
+        # unique to this robot, and above all ballots it has seen
+        ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + self._pid
         vote = promise(self.vote, number, ballot)
         assert vote is not None
         self.vote = vote
@@ -259,7 +257,7 @@ class Views:
         return self._proposal
 
     def _ask(self, proposal: _Proposal) -> list[Send]:
-        """Ask the robots that have not answered yet."""
+        """Send requests to the robots that have not answered yet."""
         others = [p for p in range(self._n) if p != self._pid]
         if proposal.value is not None:
             silent = [p for p in others if p not in proposal.votes]
@@ -267,7 +265,7 @@ class Views:
         return [Send([p for p in others if p not in proposal.reports], Prepare, (proposal.ballot, self.view))]
 
     def _put(self, proposal: _Proposal) -> list[Send]:
-        """Put a value to the vote once there is a majority, and the expected robots have promised or had time to."""
+        """Put a value to the vote once a majority and all expected robots have promised, or GRACE is over."""
         if proposal.value is not None or len(proposal.reports) < majority(self._n):
             return []
         if proposal.promised_at is None:
@@ -278,7 +276,7 @@ class Views:
         return self._vote_for(proposal)
 
     def _vote_for(self, proposal: _Proposal) -> list[Send]:
-        """Vote for the own proposal once that is allowed."""
+        """Vote for this robot's own proposal once it may."""
         if proposal.value is None or self._pid in proposal.votes or not self._holds_all(proposal.value):
             return []
         vote = accept(self.vote, proposal.ballot, proposal.value)
@@ -292,7 +290,7 @@ class Views:
         proposal = self._proposal
         if proposal is None or message.number != self.view.number + 1 or message.ballot != proposal.ballot:
             return []
-        if message.view > self.view.number:  # a decision that this robot has not heard of
+        if message.view > self.view.number:  # a decision unknown to this robot
             self._proposal = None
             return []
         proposal.reports[sender] = Report(

@@ -1,6 +1,5 @@
 """Trace of one robot.
 
-Owns: records of rounds, their file and its parts, values watched for monitors.
+Owns: records of rounds, their file and its parts, observations and verdicts of monitors.
 Offers: the schema, `Trace`, which writes, and the names of a trace's files.
-Must not import: `monitor` or any room above it.
-"""
+Must not import: `monitor` or any room above it."""

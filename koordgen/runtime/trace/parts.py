@@ -1,9 +1,8 @@
-"""Files of one robot's trace: the current part and the older parts beside it, which together stay within a limit.
+"""Files of one robot's trace: the current part and older parts beside it, together within a limit.
 
 `trace.jsonl` is the current part. A full part, and the part that an earlier start of the agent left, become
-`trace-1.jsonl`, `trace-2.jsonl` and so on; the part with the highest number is the newest of them. Where a record
-would exceed the limit, the oldest parts are deleted first. A part of another robot is neither counted nor deleted.
-"""
+`trace-1.jsonl`, `trace-2.jsonl` and so on; the highest number is the newest. If a record would exceed the limit, the
+oldest parts are deleted first. A part of another robot is neither counted nor deleted."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import HEADER
 
-PARTS = 8  # a part is full at this fraction of the limit, so that 7/8 of the limit stay readable
+PARTS = 8  # a part is full at 1/PARTS of the limit, so that 7/8 of the limit stay readable
 LONGEST_HEADER = 1 << 16  # bytes
 MEGABYTE = 1_000_000
 
@@ -31,22 +30,23 @@ def numbered(path: Path) -> list[tuple[int, Path]]:
 
 
 def size_of(path: Path) -> int:
-    """Return the bytes that the trace at `path` takes with its older parts. Raises OSError."""
+    """Return the size in bytes of the trace at `path` with its older parts. Raises OSError."""
     parts = [path] if path.is_file() else []
     return sum(part.stat().st_size for part in [*parts, *(each for _, each in numbered(path))])
 
 
 def base_of(path: Path) -> tuple[Path, int | None]:
-    """Return the path of the current part, and the number of the older part at `path`. The number is None if `path` is
-    the current part or another file. Raises OSError."""
+    """Return the path of the current part, and the number of the older part at `path`.
+
+    The number is None if `path` is the current part or another file. Raises OSError."""
     match = re.fullmatch(r"(.+)-([0-9]{1,15})", path.stem)
-    if match is None or numbered(path):  # a name that ends in a number may be the current part's
+    if match is None or numbered(path):  # a name that ends in a number may be the current part
         return path, None
     return path.with_stem(match[1]), int(match[2])
 
 
 def set_aside(path: Path) -> None:
-    """Give the part at `path`, if there is one, the next number. Raises OSError."""
+    """Rename the part at `path`, if there is one, to the next number. Raises OSError."""
     if path.is_file() and path.stat().st_size:
         number = max((number for number, _ in numbered(path)), default=0) + 1
         path.rename(path.with_stem(f"{path.stem}-{number}"))
@@ -55,9 +55,8 @@ def set_aside(path: Path) -> None:
 class Parts:
     """Writer of the current part. `limit`: bytes of all parts together.
 
-    The limit holds after every write, unless the current part alone exceeds it: one part has at most the records that
-    begin it, `limit / PARTS` bytes more, and the records of one round. All methods raise OSError.
-    """
+    The limit holds after every write, unless the current part alone exceeds it: a part has at most its initial records,
+    `limit / PARTS` bytes more, and the records of one round. All methods raise OSError."""
 
     def __init__(self, path: Path, robot: str, limit: int) -> None:
         self._path, self._limit = path, limit
@@ -66,14 +65,14 @@ class Parts:
         self._older = deque(older)  # oldest first, with their bytes
         self._total = sum(size for _, size in older)
         self._file: IO[bytes] = path.open("wb")
-        self._size = self._began = 0  # bytes of the current part, and of those the records that begin it
+        self._size = self._began = 0  # bytes of the current part, and of its initial records
 
     @property
     def full(self) -> bool:
         return self._size - self._began >= self._limit // PARTS
 
     def write(self, data: bytes) -> None:
-        """Write a record, and delete the oldest parts before where both would exceed the limit."""
+        """Write a record, after deleting the oldest parts if all would exceed the limit."""
         while self._older and self._total + len(data) > self._limit:
             oldest, size = self._older.popleft()
             oldest.unlink(missing_ok=True)
@@ -86,20 +85,20 @@ class Parts:
         self._file.flush()
 
     def turn(self) -> None:
-        """Close the current part, give it the next number, and begin another one."""
+        """Close the current part, rename it to the next number, and begin another one."""
         self._file.close()
         number = max((number for number, _ in numbered(self._path)), default=0) + 1
         older = self._path.with_stem(f"{self._path.stem}-{number}")
         try:
             self._path.rename(older)
             self._older.append((older, self._size))
-        except FileNotFoundError:  # the user has moved or deleted the part meanwhile
+        except FileNotFoundError:  # the user has moved or deleted the part
             self._total -= self._size
         self._file = self._path.open("wb")
         self._size = self._began = 0
 
     def began(self) -> None:
-        """Note that the records which begin the current part are written."""
+        """Record that the initial records of the current part are written."""
         self._began = self._size
 
     def close(self) -> None:
@@ -107,7 +106,7 @@ class Parts:
 
 
 def _is_of(path: Path, robot: str) -> bool:
-    """Return whether a file is a part of this robot's trace; a part whose only line is cut off counts as one."""
+    """Return whether a file is a part of this robot's trace; true if its only line is cut off."""
     with path.open("rb") as file:
         line = file.readline(LONGEST_HEADER)
     if not line.endswith(b"\n"):

@@ -145,7 +145,9 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
-    """True place of a robot in a simulation, `pose_rate` times a second; in a flight the measured one, once a round."""
+    """True place of a robot in a simulation, `pose_rate` times a second.
+
+    In a flight the measured one, once a round."""
 
     pid: int  # of the robot
     position: Vector  # place [m]
@@ -344,8 +346,9 @@ Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
 
 
 class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
-    """Verdict of a simulated run on one property, at the mission's end. A loop invariant has one only if it was ever
-    false."""
+    """Verdict of a simulated run on one property, at the mission's end.
+
+    A loop invariant has one only if it was ever false."""
 
     t: float  # since the start of round 1 [s]
     of: str  # invariant, initially, assume, axiom, loop invariant
@@ -403,7 +406,9 @@ encoded = _encoder.encode
 
 
 def decoded(line: bytes) -> TraceRecord | None:
-    """Return the record of a line; None if this version does not know its kind. Raises msgspec.DecodeError."""
+    """Return the record of a line; None if this version does not know its kind.
+
+    Raises msgspec.DecodeError."""
     try:
         record: TraceRecord = _record.decode(line)
     except msgspec.ValidationError:
@@ -421,7 +426,9 @@ def decoded_header(line: bytes) -> Header | RobotHeader:
 
 
 def misfit(line: bytes) -> str:
-    """Return why a line does not fit the schema; empty if it does, or if this version does not know its kind."""
+    """Return why a line does not fit the schema.
+
+    Empty if it does, or if this version does not know its kind."""
     try:
         decoded(line)
     except (ValueError, RecursionError) as error:
@@ -436,8 +443,9 @@ def plain(record: msgspec.Struct) -> dict[str, Any]:
 
 
 def format_of(line: bytes) -> str:
-    """Return the format of the trace that begins with this line; empty if the line is no header of a trace. Raises
-    ValueError if this version cannot read the format."""
+    """Return the format of the trace that begins with this line.
+
+    Empty if the line is no header of a trace. Raises ValueError if this version cannot read the format."""
     format_ = str(_header_in(line).get("format", ""))
     if format_ not in ("", OLD_FORMAT, FORMAT):
         raise ValueError(f"its format is {format_}; this koordgen reads {OLD_FORMAT} and {FORMAT}")
@@ -457,8 +465,10 @@ def _header_in(line: bytes) -> Mapping[str, Any]:
 
 
 def upgraded(line: bytes, application: str) -> bytes:
-    """Return a line of a koord-trace/1 trace as koord-trace/2 has it: a header with `applications`, a record that stems
-    from an application's event with `application`. All other lines are returned as they are."""
+    """Return a line of a koord-trace/1 trace as koord-trace/2 has it.
+
+    A header with `applications`, a record that stems from an application's event with `application`. All other lines
+    are returned as they are."""
     try:
         record = _raw.decode(line)
         kind = str(msgspec.json.decode(record["kind"]))

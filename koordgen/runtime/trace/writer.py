@@ -1,11 +1,10 @@
-"""Writer of a robot's trace: JSON lines as `schema` has them, one a round, which simulators and replayers read.
+"""Writer of a robot's trace: JSON lines as in `schema`, one per round, for simulators and replay.
 
-A trace alone holds what an event saw and did: `replay` uses nothing else. A disk that is full or gone ends the trace
+A trace alone has all inputs and results of events: `replay` uses nothing else. A full or missing disk ends the trace
 with one warning, never the robot.
 
-A trace with a limit is written in parts (see `parts`). A part begins with all that a reader needs to understand it
-without the older parts, which may have been deleted: header, phases, view and checkpoint.
-"""
+A trace with a limit is written in parts (see `parts`). A part begins with everything that a reader needs without the
+older parts, which may have been deleted: header, phases, view and checkpoint."""
 
 from __future__ import annotations
 
@@ -20,33 +19,33 @@ from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.parts import Parts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
-if TYPE_CHECKING:  # it is made of what this module has
-    from koordgen.runtime.trace.watched import Change
+if TYPE_CHECKING:  # imports this module itself
+    from koordgen.runtime.trace.monitored import Change
 
-STARTING = "starting"  # the phase with which a trace begins
+STARTING = "starting"  # first phase of every trace
 
 
 class Record(msgspec.Struct, frozen=True):
-    """What happened in a round, for the trace and for monitors. Times in seconds of the local clock."""
+    """Record of a round, for the trace and for monitors. Times in seconds of the local clock."""
 
     round: int
     time: float
-    late: float  # seconds after the tick at which it was decided
+    late: float  # seconds from the tick to the decision
     sensors: Mapping[str, Any]
-    frame: Frame | None  # what the event saw; None when the round was skipped
+    frame: Frame | None  # input of the event; None if the round was skipped
     event: str | None = None
     effects: Effects | None = None
     skipped: str | None = None
     fault: Fault | None = None
     calls: Calls = ()
-    restored: Life | None = None  # what the robot went on with, when it came back before this round
+    restored: Life | None = None  # state with which the robot continued, if it rejoined before this round
 
 
 Observe = Callable[[Record], None]
 
 
 class Trace:
-    """Writes to `file`, each round at once; without a file it does nothing. `warn` is told when tracing ends early."""
+    """Writer to `file`, each round at once; without a file it does nothing. `warn` reports an early end."""
 
     def __init__(self, file: IO[bytes] | Parts | None, warn: Callable[[str], None]) -> None:
         self._file = file
@@ -55,23 +54,23 @@ class Trace:
         self._pid = -1
         self._application = ""
         self._slots: Collection[str] = ()
-        self._told: dict[str, Any] = {}  # of the shared store, as this part has recorded it
+        self._told: dict[str, Any] = {}  # shared store as recorded in this part
         # For the beginning of the next part:
         self._header: schema.RobotHeader | None = None
         self._part = 0
         self._phase = ""
-        self._phases: dict[str, schema.Phase] = {}  # the record with which each phase but the first began
+        self._phases: dict[str, schema.Phase] = {}  # first record of each phase but the first
         self._view: schema.View | None = None
-        self._life: Life | None = None  # own variables after the last recorded round; None: not known yet
+        self._life: Life | None = None  # private variables after the last recorded round; None: unknown
         self._last = -1  # that round; 0: `init`
 
     @property
     def open(self) -> bool:
-        """Whether what is told is written anywhere."""
+        """True if records are written."""
         return self._file is not None
 
     def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
-        """Write the header, before all else."""
+        """Write the header, before all other records."""
         self._slots = [v.name for v in program.shared if v.kind == "allread"]
         self._pid, self._application = pid, program.name
         self._header = schema.RobotHeader(
@@ -88,7 +87,7 @@ class Trace:
                 self._phases[phase] = record
 
     def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
-        """Write that `init` has run: what it saw and wrote, all own variables `after` it."""
+        """Write a record of `init`: its input and writes, and all private variables `after` it."""
         self._turn_if_full(time)
         self._told, self._life, self._last = {}, after, 0
         self._write(
@@ -108,7 +107,7 @@ class Trace:
         )
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
-        """Write the view from round `since` on: each robot's incarnation, -1 of one that does not count."""
+        """Write the view from round `since` on: each robot's incarnation, -1 for a non-member."""
         record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
         self._tell(record, time)
         self._view = record
@@ -121,7 +120,7 @@ class Trace:
         self._tell(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
-        """Write a line of text that the program sent; round 0 is `init`. It stands in the same part as its round."""
+        """Write a line of the program's output; round 0 is `init`. It is in the same part as its round."""
         self._write(schema.Stream(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
@@ -129,7 +128,7 @@ class Trace:
         self._tell(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
-        """Write that a property has another outcome."""
+        """Write a change of a property's verdict."""
         record = schema.Monitor(
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
             change.time, LEFT_OUT, LEFT_OUT, self._application,
@@ -137,9 +136,10 @@ class Trace:
         self._tell(record, change.time)
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
-        """Write one round; `clock_bound` is the largest error of fleet time (s), `counters` those that changed. Locals
-        are those that the event wrote. `copy` has the changes of this robot's copy of the shared store since the last
-        record, of an allread variable by pid."""
+        """Write one round; `clock_bound` is the largest error of fleet time (s), `counters` the changed ones.
+
+        Locals are those that the event wrote. `copy` has the changes of this robot's copy of the shared store since the
+        last record; an allread variable by pid."""
         self._turn_if_full(record.time)
         fault, effects, restored = record.fault, record.effects, record.restored
         shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
@@ -159,7 +159,7 @@ class Trace:
         self._live(record)
 
     def _live(self, record: Record) -> None:
-        """Update the robot's own variables by a round that was recorded."""
+        """Update the private variables by a recorded round."""
         self._last, effects = record.round, record.effects
         life = self._life = record.restored or self._life
         if life is not None and effects is not None:
@@ -167,7 +167,7 @@ class Trace:
             self._life = Life(record.round, effects.locals, actuators, stopped)
 
     def _turn_if_full(self, time: float) -> None:
-        """Begin another part where the current one is full; never between a round and its streams."""
+        """Begin another part if the current one is full; never between a round and its streams."""
         parts = self._file
         if not isinstance(parts, Parts) or not parts.full:
             return
@@ -189,8 +189,10 @@ class Trace:
         parts.began()
 
     def _changed(self, record: Record) -> dict[str, Any]:
-        """What is another object than before has been written since. A robot's own slots were told with its events; of
-        an allwrite variable another robot's write may have counted."""
+        """Return the changes of the shared store since the last record, by object identity.
+
+        A robot's own slots are recorded with its events. An allwrite variable may have been written by another
+        robot."""
         found: dict[str, Any] = {}
         frame, told = record.frame, self._told
         if frame is None:
@@ -217,7 +219,7 @@ class Trace:
             self._file = None
 
     def _tell(self, record: msgspec.Struct, time: float) -> None:
-        """Write a record that may stand in the next part as well."""
+        """Write a record that may also go into the next part."""
         self._turn_if_full(time)
         self._write(record)
 
@@ -240,7 +242,7 @@ def _restored(life: Life) -> schema.Restored:
 
 
 def _written(record: Record) -> dict[str, Any]:
-    """The locals that the event wrote."""
+    """Return the locals that the event wrote."""
     effects, frame = record.effects, record.frame
     if effects is None or frame is None:
         return {}

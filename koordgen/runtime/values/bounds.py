@@ -1,7 +1,6 @@
-"""How much a variable may hold: its most bytes on the wire, and why a value does not fit.
+"""Size limits of variables: maximal bytes on the wire, and why a value does not fit.
 
-Mirrors the structure of a Koord type; koordgen/build/emit/types.py writes these down in generated programs.
-"""
+Mirrors the structure of a Koord type; koordgen/build/emit/types.py writes these objects into generated programs."""
 
 from __future__ import annotations
 
@@ -17,8 +16,10 @@ NUMBER = 9  # bytes of an int or a float in MessagePack's longest form
 
 
 class Bound(Protocol):
-    """`flaw` says what is wrong with a value of the right type, as the end of "x would become ..."; empty when it fits
-    and is one that Koord's operations can make."""
+    """Size limit of a value.
+
+    `flaw` returns what is wrong with a value of the right type, as the end of "x would become ..."; "" if it fits and
+    Koord's operations can produce it."""
 
     @property
     def bytes(self) -> int: ...
@@ -27,13 +28,13 @@ class Bound(Protocol):
 
 
 def fits(bound: Bound, value: Any) -> bool:
-    """Whether a value is within its capacities."""
+    """Return whether a value is within its limits."""
     return not bound.flaw(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Fixed:
-    """A value whose length does not vary: a number, a Point, a Pose, a Grid."""
+    """Limit of a value of constant length: a number, a Point, a Pose, a Grid."""
 
     bytes: int
 
@@ -49,7 +50,7 @@ class Fixed:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A string of at most `capacity` bytes in UTF-8."""
+    """Limit of a string: at most `capacity` bytes in UTF-8."""
 
     capacity: int
 
@@ -67,7 +68,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A GridMap of at most `capacity` cells."""
+    """Limit of a GridMap: at most `capacity` cells."""
 
     capacity: int
 
@@ -83,7 +84,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """A Scan of at most `capacity` rays."""
+    """Limit of a Scan: at most `capacity` rays."""
 
     capacity: int
 
@@ -98,7 +99,7 @@ class Rays:
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A value of the extern type `name`: at most `capacity` bytes."""
+    """Limit of a value of the extern type `name`: at most `capacity` bytes."""
 
     capacity: int
     name: str
@@ -113,7 +114,7 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Many:
-    """A List or Queue of at most `capacity` elements."""
+    """Limit of a List or Queue: at most `capacity` elements."""
 
     capacity: int
     element: Bound
@@ -128,7 +129,7 @@ class Many:
 
 @dataclass(frozen=True, slots=True)
 class Distinct:
-    """A Set of at most `capacity` elements."""
+    """Limit of a Set: at most `capacity` elements."""
 
     capacity: int
     element: Bound
@@ -144,7 +145,7 @@ class Distinct:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """A Map of at most `capacity` keys."""
+    """Limit of a Map: at most `capacity` keys."""
 
     capacity: int
     key: Bound
@@ -161,7 +162,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """A tuple, by its items in order, or a record: then `fields` are their names."""
+    """Limits of a tuple, by its items in order, or of a record with these `fields`."""
 
     items: tuple[Bound, ...]
     fields: tuple[str, ...] = ()
@@ -175,12 +176,14 @@ class Parts:
 
 
 def parts_of(value: Any) -> tuple[Any, ...]:
-    """The items of a tuple, the fields of a record."""
+    """Return the items of a tuple, or the fields of a record."""
     return value if isinstance(value, tuple) else tuple(getattr(value, f) for f in value.__struct_fields__)
 
 
 def _head(count: int, shortest: int, short: int) -> int:
-    """The most bytes MessagePack puts before `count` things: one below `shortest`, two below `short`."""
+    """Return the most bytes that MessagePack puts before `count` items.
+
+    Two below `short`, one below `shortest`."""
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 

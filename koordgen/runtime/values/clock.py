@@ -1,4 +1,4 @@
-"""Clock of a robot: the interface, the operating system's monotonic clock, and one that a simulation owns."""
+"""Clock of a robot: the interface, the operating system's monotonic clock, and a simulated one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SystemClock:
 
 
 class SimulatedClock:
-    """Time owned by a simulation; `rate` and `offset` make it a robot's clock that runs off the `base`."""
+    """Simulated time; `rate` and `offset` derive a robot's drifting clock from `base`."""
 
     def __init__(self, base: SimulatedClock | None = None, offset: float = 0.0, rate: float = 1.0) -> None:
         self._base = base
@@ -31,5 +31,5 @@ class SimulatedClock:
         return self.time if self._base is None else self._offset + self._rate * self._base.now()
 
     def true(self, local: float) -> float:
-        """The base's time at which this clock shows `local`."""
+        """Return the base's time at which this clock shows `local`."""
         return local if self._base is None else (local - self._offset) / self._rate

@@ -1,15 +1,16 @@
-"""Koord's lists, queues, sets and maps on a robot: functions from tuples to tuples. Nothing is ever changed in place.
+"""Koord's lists, queues, sets and maps as tuples.
 
-A list or queue is a tuple (a queue's front first); a set is the tuple of its elements, ascending, without repetition;
-a map is the tuple of its (key, value) pairs, keys ascending, without repetition. So equal sets are equal tuples. The
-elements of one set, and the keys of one map, are of one type, which is ordered: int, bool, string, tuples of those.
+Every function returns a new tuple; none changes its input.
 
-Python's own `==`, `in` and `count` look at parts by identity first, which differs from Koord's equality for NaN alone.
-So generated code looks for NaN first where there may be some (no_nan in values.py), also before it calls index_of and
+A list or queue is a tuple (a queue's front first). A set is the tuple of its elements, ascending, without repetition. A
+map is the tuple of its (key, value) pairs, keys ascending, without repetition. So equal sets are equal tuples. The
+elements of one set, and the keys of one map, have one ordered type: int, bool, string, or tuples of those.
+
+Python's own `==`, `in` and `count` compare parts by identity first, which differs from Koord's equality only for NaN.
+So generated code checks for NaN first where it may occur (no_nan in points.py), also before it calls index_of and
 removed.
 
-OutOfRange, Missing, ValueError and ArithmeticError discard the event in which they are raised.
-"""
+OutOfRange, Missing, ValueError and ArithmeticError discard the event in which they are raised."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from koordgen.runtime.values.turns import MOST_BITS, TOO_LONG, TooMuch, checked,
 
 
 class Key(Protocol):
-    """What can be an element of a set or a key of a map."""
+    """Type of a set's element or a map's key."""
 
     def __lt__(self, other: Any, /) -> bool: ...
 
@@ -40,24 +41,25 @@ _key = itemgetter(0)
 
 
 class OutOfRange(Exception):
-    """An index outside of what it indexes; indices never count from the end."""
+    """An index outside of its list. Indices never count from the end."""
 
 
 class Missing(Exception):
-    """An element that is not there was asked for, or was to be removed."""
+    """An element to be read or removed is missing."""
 
 
 # Lists and queues
 
 
 def at(xs: Sequence[T], i: int) -> T:
-    """The i-th element, from 0. OutOfRange unless 0 <= i < len."""
+    """Return the i-th element, from 0. Raises OutOfRange unless 0 <= i < len."""
     return xs[_index(xs, i)]
 
 
 def slice_(xs: tuple[T, ...], a: int | None, b: int | None) -> tuple[T, ...]:
-    """The elements from a up to, not including, b; None is the start or the end. Bounds beyond the length are clipped;
-    OutOfRange for a negative one."""
+    """Return the elements from a up to, not including, b; None is the start or the end.
+
+    Bounds beyond the length are clipped. Raises OutOfRange for a negative one."""
     for bound in (a, b):
         if bound is not None and bound < 0:
             raise OutOfRange(f"{_shown(bound)} bounds no slice: indices never count from the end")
@@ -65,7 +67,7 @@ def slice_(xs: tuple[T, ...], a: int | None, b: int | None) -> tuple[T, ...]:
 
 
 def updated(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
-    """xs with v as the i-th element. OutOfRange unless 0 <= i < len."""
+    """Return xs with v as the i-th element. Raises OutOfRange unless 0 <= i < len."""
     _index(xs, i)
     return made((*xs[:i], v, *xs[i + 1 :]))
 
@@ -79,53 +81,56 @@ def extended(xs: tuple[T, ...], ys: tuple[T, ...]) -> tuple[T, ...]:
 
 
 def inserted(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
-    """xs with v before the i-th element, or at the end. OutOfRange unless 0 <= i <= len."""
+    """Return xs with v before the i-th element, or at the end. Raises OutOfRange unless 0 <= i <= len."""
     if not 0 <= i <= len(xs):
         raise OutOfRange(f"{_shown(i)} is no place to insert at: places are 0 to {len(xs)}")
     return made((*xs[:i], v, *xs[i:]))
 
 
 def removed(xs: tuple[T, ...], v: T) -> tuple[T, ...]:
-    """xs without the first element that equals v. Missing when there is none."""
+    """Return xs without the first element that equals v. Raises Missing if there is none."""
     return without(xs, index_of(xs, v))
 
 
 def without(xs: tuple[T, ...], i: int) -> tuple[T, ...]:
-    """xs without its i-th element; a queue's front is the 0-th. OutOfRange unless 0 <= i < len."""
+    """Return xs without its i-th element; a queue's front is the 0-th.
+
+    Raises OutOfRange unless 0 <= i < len."""
     _index(xs, i)
     return made(xs[:i] + xs[i + 1 :])
 
 
 def popped(xs: tuple[T, ...]) -> tuple[T, ...]:
-    """xs without its last element. Missing when xs is empty."""
+    """Return xs without its last element. Raises Missing if xs is empty."""
     last(xs)
     return made(xs[:-1])
 
 
 def first(xs: tuple[T, ...]) -> T:
-    """The first element, a queue's front. Missing when xs is empty."""
+    """Return the first element, a queue's front. Raises Missing if xs is empty."""
     if not xs:
         raise Missing("there is no first element: it is empty")
     return xs[0]
 
 
 def last(xs: tuple[T, ...]) -> T:
-    """The last element. Missing when xs is empty."""
+    """Return the last element. Raises Missing if xs is empty."""
     if not xs:
         raise Missing("there is no last element: it is empty")
     return xs[-1]
 
 
 def index_of(xs: tuple[T, ...], v: T) -> int:
-    """Where the first element that equals v stands. Missing when there is none."""
+    """Return the index of the first element that equals v. Raises Missing if there is none."""
     if v in xs:
         return xs.index(v)
     raise Missing(f"{_shown(v)} is not in the list")
 
 
 def total(xs: Iterable[float]) -> float:
-    """The sum from left to right, rounded at each step. Python's own compensates for what is lost from 3.12 on, and
-    robots need not have one Python."""
+    """Return the sum from left to right, rounded at each step.
+
+    Python's own `sum` compensates rounding errors from 3.12 on, and robots may have different versions."""
     found = 0.0
     for x in xs:
         found += x
@@ -147,7 +152,7 @@ def set_of(values: Iterable[K]) -> tuple[K, ...]:
 
 
 def is_set(t: tuple[Any, ...]) -> bool:
-    """Whether a tuple of orderable elements, as from the network, is a set: strictly ascending."""
+    """Return whether a tuple of orderable elements, as from the network, is a set: strictly ascending."""
     return all(a < b for a, b in pairwise(t))
 
 
@@ -157,7 +162,7 @@ def set_with(s: tuple[K, ...], v: K) -> tuple[K, ...]:
 
 
 def set_without(s: tuple[K, ...], v: K) -> tuple[K, ...]:
-    """s without v. Missing when v is not in s."""
+    """Return s without v. Raises Missing if v is not in s."""
     i = _place(s, v)
     if i == len(s) or s[i] != v:
         raise Missing(f"{_shown(v)} is not in the set")
@@ -186,17 +191,17 @@ def _place(s: tuple[K, ...], v: K) -> int:
 
 
 def map_of(pairs: Iterable[tuple[K, V]]) -> tuple[tuple[K, V], ...]:
-    """The map of these pairs; of several with one key the last counts."""
+    """Return the map of these pairs; of several with one key the last counts."""
     return tuple(sorted(dict(pairs).items(), key=_key))
 
 
 def is_map(t: tuple[tuple[Any, Any], ...]) -> bool:
-    """Whether a tuple of pairs, as from the network, is a map: keys strictly ascending."""
+    """Return whether a tuple of pairs, as from the network, is a map: keys strictly ascending."""
     return all(a[0] < b[0] for a, b in pairwise(t))
 
 
 def map_at(m: tuple[tuple[K, V], ...], k: K) -> V:
-    """The value of key k. Missing when there is none."""
+    """Return the value of key k. Raises Missing if there is none."""
     return m[_found(m, k)][1]
 
 
@@ -206,7 +211,7 @@ def map_with(m: tuple[tuple[K, V], ...], k: K, v: V) -> tuple[tuple[K, V], ...]:
 
 
 def map_without(m: tuple[tuple[K, V], ...], k: K) -> tuple[tuple[K, V], ...]:
-    """m without key k. Missing when it is not in m."""
+    """Return m without key k. Raises Missing if k is not in m."""
     i = _found(m, k)
     return made(m[:i] + m[i + 1 :])
 
@@ -229,7 +234,7 @@ def values(m: tuple[tuple[K, V], ...]) -> tuple[V, ...]:
 
 
 def _slot(m: tuple[tuple[K, V], ...], k: K) -> int:
-    """Where key k is, or would be."""
+    """Return the index at which key k is, or would be."""
     return bisect_left(m, k, key=_key)
 
 
@@ -247,20 +252,22 @@ def power(a: int, b: int) -> int: ...
 @overload
 def power(a: float, b: float) -> float: ...
 def power(a: float, b: float) -> float:
-    """a ** b; an int when both are. ValueError for ints with a negative exponent, or with one above MAX_EXPONENT unless
-    the base is -1, 0 or 1, and where floats have no real power; OverflowError where the float would be infinite."""
+    """Return a ** b; an int if both are.
+
+    Raises ValueError for ints with a negative exponent, or with one above MAX_EXPONENT unless the base is -1, 0 or 1,
+    and for floats without a real power. Raises OverflowError if the float would be infinite."""
     if not (isinstance(a, int) and isinstance(b, int)):
         return math.pow(a, b)
     if b < 0:
         raise ValueError("an int has no int power with a negative exponent: write the base as a float")
     if b > MAX_EXPONENT and abs(a) > 1:
         raise ValueError(f"the exponent of an int is at most {MAX_EXPONENT}: write the base as a float")
-    if abs(a) > 1 and (abs(a).bit_length() - 1) * b >= MOST_BITS:  # so long that it is not even made
+    if abs(a) > 1 and (abs(a).bit_length() - 1) * b >= MOST_BITS:  # too long even to be computed
         raise TooMuch(TOO_LONG)
     return checked(int(a**b))
 
 
 def _shown(value: object) -> str:
-    """Short, whatever the value: reasons go to the log."""
+    """Return a short representation of any value, for reasons in the log."""
     huge = isinstance(value, int) and value.bit_length() > 64
     return "an int beyond 64 bits" if huge else reprlib.repr(value)

@@ -1,12 +1,14 @@
-"""WGS-84: geodetic coordinates to and from a local ENU frame, exact, also at the poles and the date line.
+"""WGS-84: exact conversion of geodetic coordinates to and from a local ENU frame.
 
-Latitudes and longitudes in degrees, longitudes within -180 to 180; heights and all else in metres. The height above
-mean sea level (AMSL) that autopilots and fleet files use stands in for the height above the ellipsoid: as long as
-origin and points use the same one, the geoid's height scales distances by less than 2e-5 and moves nothing else.
+It also holds at the poles and the date line.
 
-Formulas: B. Hofmann-Wellenhof, H. Lichtenegger, J. Collins, "GPS: Theory and Practice", section 10.2; the way back
-iterates B. R. Bowring's (Survey Review 23, 1976) twice, which leaves rounding only, up to heights of 100 km.
-"""
+Latitudes and longitudes in degrees, longitudes within -180 to 180; heights and all lengths in metres. The height above
+mean sea level (AMSL), which autopilots and fleet files use, replaces the height above the ellipsoid: if origin and
+points use the same one, the geoid's height only scales distances by less than 2e-5.
+
+Formulas: B. Hofmann-Wellenhof, H. Lichtenegger, J. Collins, "GPS: Theory and Practice", section 10.2. The inverse
+iterates B. R. Bowring's formula (Survey Review 23, 1976) twice, which leaves only rounding errors up to heights of 100
+km."""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ _EP2 = _E2 / (1 - _E2)  # second eccentricity, squared
 
 
 def ecef(latitude: float, longitude: float, altitude: float) -> Vector:
-    """Earth-centred, earth-fixed coordinates of a geodetic place."""
+    """Return the earth-centred, earth-fixed coordinates of a geodetic position."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(phi) ** 2)  # radius of curvature in the prime vertical
     radius = (normal + altitude) * math.cos(phi)
@@ -30,7 +32,7 @@ def ecef(latitude: float, longitude: float, altitude: float) -> Vector:
 
 
 def geodetic(x: float, y: float, z: float) -> Vector:
-    """Latitude, longitude and altitude of an ECEF point that is not near the earth's centre."""
+    """Return latitude, longitude and altitude of an ECEF point that is not near the earth's centre."""
     p = math.hypot(x, y)
     beta = math.atan2(z * SEMI_MAJOR, p * SEMI_MINOR)  # parametric latitude
     phi = 0.0
@@ -47,7 +49,7 @@ def geodetic(x: float, y: float, z: float) -> Vector:
 
 
 def _axes(latitude: float, longitude: float) -> tuple[Vector, Vector, Vector]:
-    """The unit vectors east, north and up at a place, in ECEF."""
+    """Return the unit vectors east, north and up at a geodetic position, in ECEF."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     sp, cp, sl, cl = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
     return (-sl, cl, 0.0), (-sp * cl, -sp * sl, cp), (cp * cl, cp * sl, sp)
@@ -58,20 +60,20 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 class LocalFrame:
-    """The local ENU frame whose origin is a geodetic place: x east, y north, z up, tangent to the ellipsoid there."""
+    """Local ENU frame about a geodetic position: x east, y north, z up, tangent to the ellipsoid there."""
 
     def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
         self._origin = ecef(latitude, longitude, altitude)
         self._east, self._north, self._up = _axes(latitude, longitude)
 
     def enu(self, latitude: float, longitude: float, altitude: float) -> Vector:
-        """The ENU coordinates of a geodetic place."""
+        """Return the ENU coordinates of a geodetic position."""
         x, y, z = ecef(latitude, longitude, altitude)
         d = (x - self._origin[0], y - self._origin[1], z - self._origin[2])
         return _dot(d, self._east), _dot(d, self._north), _dot(d, self._up)
 
     def geodetic(self, x: float, y: float, z: float) -> Vector:
-        """Latitude, longitude and altitude of a point in this frame."""
+        """Return latitude, longitude and altitude of a point in this frame."""
         (ox, oy, oz), e, n, u = self._origin, self._east, self._north, self._up
         return geodetic(
             ox + x * e[0] + y * n[0] + z * u[0],
@@ -80,8 +82,10 @@ class LocalFrame:
         )
 
     def turned(self, latitude: float, longitude: float, north: float, east: float, down: float) -> Vector:
-        """A direction or velocity in the NED axes at a place, expressed in this frame's ENU axes. The two differ by
-        the meridians' convergence: nothing at 100 m in middle latitudes, everything at a pole."""
+        """Rotate a vector from the NED axes at a position to this frame's ENU axes.
+
+        The two differ by the convergence of meridians: negligible at 100 m in middle latitudes, up to half a turn at a
+        pole."""
         e, n, u = _axes(latitude, longitude)
         v = (
             east * e[0] + north * n[0] - down * u[0],
@@ -91,7 +95,7 @@ class LocalFrame:
         return _dot(v, self._east), _dot(v, self._north), _dot(v, self._up)
 
     def ned(self, latitude: float, longitude: float, east: float, north: float, up: float) -> Vector:
-        """A direction or velocity in this frame's ENU axes, expressed in the NED axes at a place: `turned` back."""
+        """Rotate a vector from this frame's ENU axes to the NED axes at a position: the inverse of `turned`."""
         e, n, u = _axes(latitude, longitude)
         v = (
             east * self._east[0] + north * self._north[0] + up * self._up[0],

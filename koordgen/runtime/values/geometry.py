@@ -1,16 +1,17 @@
-"""How close two paths come: the least distance of segments in space, to rounding. People's safety rests on it.
+"""Distance of two paths: the least distance of segments in space, exact to rounding.
+
+Safety relies on it.
 
 The squared distance of p + s d and r + t e is a convex function of (s, t) on the unit square. Its minimum is on the
-square's rim, where an endpoint of one segment meets the other segment, or at the one place inside where the line
-between the points is perpendicular to both. All five candidates are taken, and each is the distance of two points that
-do lie on the segments: whatever rounding does to the place, no candidate is below the truth by more than its own
-rounding. Nearly parallel segments are what breaks the textbook formula, whose denominator (d.d)(e.e) - (d.e)^2 is then
-nothing but rounding. Here the place inside comes from the cross product, which keeps its digits, and is moved to the
-foot of the perpendicular on one segment and back on the other: an error along a common direction costs next to nothing.
+square's rim, where an endpoint of one segment meets the other segment, or at the one inner point where the line between
+the points is perpendicular to both. All five candidates are computed, and each is the distance of two points that do
+lie on the segments: whatever rounding does to the position, no candidate is below the true distance by more than its
+own rounding. Nearly parallel segments break the textbook formula, whose denominator (d.d)(e.e) - (d.e)^2 is then
+nothing but rounding. Here the inner point comes from the cross product, which keeps its digits, and is moved to the
+foot of the perpendicular on one segment and back on the other: an error along a common direction has almost no effect.
 
 The error is at most 1e-15 of the largest difference between coordinates of the four points, plus 1e-75 m; measured
-against exact arithmetic in tests/runtime/values/test_geometry.py.
-"""
+against exact arithmetic in tests/runtime/values/test_geometry.py."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ Vector = tuple[float, float, float]
 
 
 class Segment(NamedTuple):
-    """From `start` to `end`; `low` and `high` are the corners of the box around it."""
+    """Segment from `start` to `end`; `low` and `high` are the corners of its bounding box."""
 
     start: Vector
     end: Vector
@@ -36,26 +37,33 @@ class Segment(NamedTuple):
 
 
 def segment_distance(p: Point, q: Point, r: Point, s: Point) -> float:
-    """The least distance, in metres, of a point on the segment pq from a point on the segment rs; either may be a mere
-    point. ValueError for a coordinate that is not a number or is beyond LIMIT."""
+    """Return the least distance (m) of two segments pq and rs; either may be a point.
+
+    Raises ValueError for a coordinate that is NaN or beyond LIMIT."""
     return path_distance((p, q), (r, s))
 
 
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> float:
-    """The least distance, in metres, of two paths, each the polyline through its points in order, or its only point.
-    Infinite when one has no points. ValueError for a coordinate that is not a number or is beyond LIMIT."""
+    """Return the least distance (m) of two paths.
+
+    Polylines through their points in order, or single points.
+
+    inf if one has no points. Raises ValueError for a coordinate that is NaN or beyond LIMIT."""
     others = _segments(b)
     best = math.inf
     for mine in _segments(a):
         for other in others:
-            if _gap(mine, other) < best:  # most segments of two paths are far apart, which is quickly seen
+            if _gap(mine, other) < best:  # skip segments that are far apart, which most are
                 best = min(best, _squared(mine, other))
     return math.sqrt(best)
 
 
 def clear(path: tuple[Point, ...], paths: Iterable[tuple[Point, ...]], eps: float) -> bool:
-    """Whether a path stays more than eps metres away from each of the others; a path without points is clear of all.
-    ValueError for a coordinate that is not a number or is beyond LIMIT, NotANumber for such an eps."""
+    """Return whether a path stays more than eps metres away from all others.
+
+    True for a path without points.
+
+    Raises ValueError for a coordinate that is NaN or beyond LIMIT, NotANumber if eps is NaN."""
     no_nan(eps)
     return all(path_distance(path, other) > eps for other in paths)
 
@@ -78,7 +86,7 @@ def _segment(p: Vector, q: Vector) -> Segment:
 
 
 def _gap(a: Segment, b: Segment) -> float:
-    """The squared distance of the boxes around two segments, which is not above their own."""
+    """Return the squared distance of two segments' bounding boxes, a lower bound of the segments' own."""
     _, _, (ax, ay, az), (bx, by, bz) = a
     _, _, (cx, cy, cz), (dx, dy, dz) = b
     gap = max(ax - dx, cx - bx, 0.0), max(ay - dy, cy - by, 0.0), max(az - dz, cz - bz, 0.0)
@@ -87,7 +95,8 @@ def _gap(a: Segment, b: Segment) -> float:
 
 def _squared(a: Segment, b: Segment) -> float:
     (p, q, _, _), (r, s, _, _) = a, b
-    d, e, w = _minus(q, p), _minus(s, r), _minus(r, p)  # only differences from here on: far from the origin is no worse
+    # only differences from here on: distance from the origin adds no error
+    d, e, w = _minus(q, p), _minus(s, r), _minus(r, p)
     rim = min(
         _beyond(_minus(p, r), e),
         _beyond(_minus(q, r), e),
@@ -104,13 +113,13 @@ def _squared(a: Segment, b: Segment) -> float:
 
 
 def _beyond(x: Vector, d: Vector) -> float:
-    """The squared distance of the point x from the segment from the origin to d."""
+    """Return the squared distance of the point x from the segment from the origin to d."""
     gap = _minus(x, _times(_foot(x, d), d))
     return _dot(gap, gap)
 
 
 def _foot(x: Vector, d: Vector) -> float:
-    """Where on the segment from the origin to d, 0 to 1, the nearest point to x is."""
+    """Return the parameter, 0 to 1, of the point nearest to x on the segment from the origin to d."""
     square = _dot(d, d)
     return _clip(_dot(x, d) / square) if square else 0.0
 

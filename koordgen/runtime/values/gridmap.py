@@ -1,9 +1,8 @@
-"""GridMap: what is known of a rectangle of the plane, cell by cell: unknown, free or occupied.
+"""GridMap: occupancy grid of a rectangle of the plane, with cells unknown, free or occupied.
 
 All maps of one resolution are windows of one lattice about the origin, so two robots' maps of different areas can be
 merged. Knowledge only grows: marking and merging are joins, occupied over free over unknown, and a join is an OR of
-bits. Merging is therefore commutative, associative and idempotent: the order in which maps arrive does not matter.
-"""
+bits. Merging is therefore commutative, associative and idempotent: the order in which maps arrive does not matter."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ import msgspec
 
 from koordgen.runtime.values.points import INT_MAX, INT_MIN, Grid, Point
 
-FREE, OCCUPIED = 0b01, 0b11  # 00 is unknown; 10 is nothing
-MAX_CELLS = 1 << 22  # more would take a robot's memory and its round
+FREE, OCCUPIED = 0b01, 0b11  # 00 is unknown; 10 is invalid
+MAX_CELLS = 1 << 22  # a larger map would exceed a robot's memory and its round
 
 _SOUND = bytes(
     a << 6 | b << 4 | c << 2 | d for a, b, c, d in product((0, FREE, OCCUPIED), repeat=4)
@@ -23,10 +22,11 @@ _SOUND = bytes(
 
 
 class GridMap(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A window of the lattice whose cell (i, j) is the square [i, i + 1) x [j, j + 1) times `resolution` metres:
-    `width` x `height` cells from cell (x, y). `cells` has two bits a cell, row by row from (x, y), the first cell of a
-    byte lowest, the last byte filled with zeros. GridMap() is the empty map, which alone has no cells.
-    """
+    """Occupancy grid: a window of a lattice.
+
+    Cell (i, j) of the lattice is the square [i, i + 1) x [j, j + 1) times `resolution` metres. The window has
+    `width` x `height` cells from cell (x, y) on. `cells` has two bits per cell, row by row from (x, y), the first cell
+    of a byte lowest, the last byte padded with zeros. GridMap() is the empty map, the only one without cells."""
 
     resolution: float = 0.0
     x: int = 0
@@ -37,54 +37,63 @@ class GridMap(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 def area(lo: Point, hi: Point, resolution: float) -> GridMap:
-    """The unknown map of the rectangle from lo to hi: from lo's cell as far as the cells that begin before hi, z left
-    aside. ValueError unless lo is below hi in x and in y, and for more than MAX_CELLS cells."""
+    """Return the unknown map of the rectangle from lo to hi, ignoring z.
+
+    It reaches from lo's cell to the cells that begin before hi. Raises ValueError unless lo is below hi in x and in y,
+    and for more than MAX_CELLS cells."""
     size = _size(resolution)
     if not (lo.x < hi.x and lo.y < hi.y):
         raise ValueError("a GridMap's first corner must be below its second in x and in y")
     x, y = math.floor(lo.x / size), math.floor(lo.y / size)
     width, height = math.ceil(hi.x / size) - x, math.ceil(hi.y / size) - y
-    return _blank(size, x, y, max(width, 1), max(height, 1))  # both quotients may round to one whole number
+    return _blank(size, x, y, max(width, 1), max(height, 1))  # both quotients may round to the same integer
 
 
 def cell(p: Point, size: float) -> Grid:
-    """The cell of the lattice of `size` metres in which a point lies. ValueError unless size is positive and finite."""
+    """Return the cell of the lattice of `size` metres that contains a point.
+
+    Raises ValueError unless size is positive and finite."""
     return Grid(math.floor(p.x / _size(size)), math.floor(p.y / size), size)
 
 
 def center(g: Grid) -> Point:
-    """The middle of a cell, at z = 0."""
+    """Return the centre of a cell, at z = 0."""
     return Point((g.x + 0.5) * g.size, (g.y + 0.5) * g.size, 0.0)
 
 
 def is_free(m: GridMap, g: Grid) -> bool:
-    """Whether a cell is known to be free; nothing is outside of the window. ValueError for a cell of another size."""
+    """Return whether a cell is known to be free; false outside the window.
+
+    Raises ValueError for a cell of another size."""
     return _code(m, g) == FREE
 
 
 def is_occupied(m: GridMap, g: Grid) -> bool:
-    """Whether a cell is known to be occupied; ValueError for a cell of another size."""
+    """Return whether a cell is known to be occupied. Raises ValueError for a cell of another size."""
     return _code(m, g) == OCCUPIED
 
 
 def is_known(m: GridMap, g: Grid) -> bool:
-    """Whether a cell is known to be free or to be occupied; ValueError for a cell of another size."""
+    """Return whether a cell is known to be free or occupied. Raises ValueError for a cell of another size."""
     return _code(m, g) != 0
 
 
 def mark_free(m: GridMap, g: Grid) -> GridMap:
-    """m with a cell free, unless it is occupied. ValueError for a cell outside of the window or of another size."""
+    """Return m with a cell free, unless it is occupied.
+
+    Raises ValueError for a cell outside the window or of another size."""
     return _marked(m, g, FREE)
 
 
 def mark_occupied(m: GridMap, g: Grid) -> GridMap:
-    """m with a cell occupied. ValueError for a cell outside of the window or of another size."""
+    """Return m with a cell occupied. Raises ValueError for a cell outside the window or of another size."""
     return _marked(m, g, OCCUPIED)
 
 
 def merge(a: GridMap, b: GridMap) -> GridMap:
-    """What a and b know together, over the smallest window that holds both; cells of neither are unknown. ValueError
-    for two resolutions, and for a window of more than MAX_CELLS cells."""
+    """Return the join of a and b on the smallest window that contains both; cells of neither are unknown.
+
+    Raises ValueError for two resolutions, and for a window of more than MAX_CELLS cells."""
     if not a.width:
         return b
     if not b.width:
@@ -99,7 +108,9 @@ def merge(a: GridMap, b: GridMap) -> GridMap:
 
 
 def sound(m: GridMap) -> bool:
-    """Whether a map, as from the network, is one that the functions of here can make. The others rely on it."""
+    """Return whether a map, as from the network, is one that this module can make.
+
+    Other functions rely on it."""
     if m.width == 0 or m.height == 0:
         return m == GridMap()
     return (
@@ -134,7 +145,7 @@ def _blank(resolution: float, x: int, y: int, width: int, height: int) -> GridMa
 
 
 def _bits(m: GridMap, window: GridMap) -> int:
-    """The cells of m as they lie in a window that contains it, the first lowest."""
+    """Return the cells of m in their places of a window that contains it, the first lowest."""
     bits = int.from_bytes(m.cells, "little")
     if m.width == window.width:
         return bits << 2 * m.width * (m.y - window.y)
@@ -149,7 +160,7 @@ def _bits(m: GridMap, window: GridMap) -> int:
 
 
 def _index(m: GridMap, g: Grid) -> int | None:
-    """The number of a cell in m, None outside of the window."""
+    """Return the number of a cell in m, None outside the window."""
     if not m.width:
         return None
     if g.size != m.resolution:

@@ -1,7 +1,4 @@
-"""What stands in the fleet's way, as the fleet file says it: boxes, spheres, upright cylinders, meshes.
-
-Metres, local ENU. Boxes, spheres and cylinders are solid; a mesh is its surface.
-"""
+"""Obstacles of the fleet's world, as in the fleet file: boxes, spheres, upright cylinders, meshes."""
 
 from __future__ import annotations
 
@@ -11,21 +8,21 @@ from koordgen.runtime.values.points import Point
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="box"):
-    """An axis-parallel box between two corners, `lo` below `hi` on every axis."""
+    """Axis-aligned box between two corners, `lo` below `hi` on every axis."""
 
     lo: Point
     hi: Point
 
 
 class Sphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="sphere"):
-    """All that is no farther than `radius` from `centre`."""
+    """All points no farther than `radius` from `centre`."""
 
     centre: Point
     radius: float
 
 
 class Cylinder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="cylinder"):
-    """An upright cylinder; `base` is the middle of its lower face."""
+    """Upright cylinder; `base` is the centre of its lower face."""
 
     base: Point
     radius: float
@@ -33,7 +30,7 @@ class Cylinder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Mesh(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="mesh"):
-    """A surface of triangles: each face is three indices of vertices."""
+    """Surface of triangles: each face is three indices of vertices."""
 
     vertices: tuple[Point, ...]
     faces: tuple[tuple[int, int, int], ...]

@@ -1,7 +1,9 @@
-"""Koord's values on a robot: a Point is three metres in the local ENU frame, a Pose adds yaw in radians.
+"""Values of Koord programs.
 
-Every value is immutable: numbers, strings, tuples and the frozen Structs of here, of gridmap.py and of the program.
-"""
+A Point is a position in metres in the local ENU frame, a Pose adds yaw in radians.
+
+Every value is immutable: numbers, strings, tuples and the frozen Structs of this module, of gridmap.py and of the
+program."""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ T = TypeVar("T")
 
 
 class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A position or displacement: x east, y north, z up, in metres about the fleet's origin."""
+    """Position or displacement: x east, y north, z up, in metres about the fleet's origin."""
 
     x: float = 0.0
     y: float = 0.0
@@ -39,14 +41,16 @@ class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Pose(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A position and a heading: yaw in radians, counter-clockwise from east."""
+    """Position and heading: yaw in radians, counter-clockwise from east."""
 
     position: Point = Point()
     yaw: float = 0.0
 
 
 class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A cell of the plane's lattice: the square from (x * size, y * size), `size` metres wide, upper edges excluded."""
+    """Cell of the plane's lattice.
+
+    The square from (x * size, y * size), `size` metres wide, upper edges excluded."""
 
     x: int = 0
     y: int = 0
@@ -54,9 +58,10 @@ class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """One turn of a planar lidar. `angles` in radians from east, counter-clockwise, in the world's frame (where a scan
-    was taken tells no heading); `ranges` in metres, one for each angle; a ray that met nothing has `max_range`,
-    never infinity."""
+    """One turn of a planar lidar.
+
+    `angles`: radians from east, counter-clockwise, in the world frame, independent of the heading. `ranges`: metres,
+    one for each angle; a ray without a hit has `max_range`, never infinity."""
 
     angles: tuple[float, ...] = ()
     ranges: tuple[float, ...] = ()
@@ -64,13 +69,13 @@ class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Opaque(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A value of an extern type: MessagePack of the user's own class, b"" until one has been made."""
+    """Value of an extern type: MessagePack of the user's own class, b"" until one has been made."""
 
     data: bytes = b""
 
 
 class NotANumber(ArithmeticError):
-    """A comparison met NaN: one of its operands is NaN, or has NaN in it. Discards the event."""
+    """A comparison with NaN: one of its operands is NaN, or contains NaN. Discards the event."""
 
     def __init__(self) -> None:
         super().__init__("a comparison met NaN")
@@ -84,7 +89,9 @@ def no_nan(x: float) -> float:
 
 
 def no_nan_in(value: T) -> T:
-    """Return a value that is about to be compared as a whole. Raises NotANumber for NaN in it, at any depth."""
+    """Return a value that is about to be compared as a whole.
+
+    Raises NotANumber for NaN in it, at any depth."""
     if has_nan(value):
         raise NotANumber
     return value
@@ -98,7 +105,7 @@ def has_nan(value: object) -> bool:
 
 
 def distance(p: Point, q: Point) -> float:
-    """The Euclidean distance of two points, in metres."""
+    """Return the Euclidean distance of two points, in metres."""
     return math.hypot(p.x - q.x, p.y - q.y, p.z - q.z)
 
 
@@ -106,13 +113,15 @@ INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 
 def transmissible(value: object) -> bool:
-    """Return whether a value may be kept, or go to a port or to another robot: at no depth NaN, infinity, an int beyond
-    64 bits, text that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no
-    nesting can exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
+    """Return whether a value may be kept, or go to a port or to another robot.
+
+    Not allowed at any depth: NaN, infinity, an int beyond 64 bits, text that is not Unicode, any object that is no
+    Koord value. It uses a list instead of recursion, so no nesting can exhaust the stack (the result of a typed decoder
+    is as deep as its static type, and no deeper)."""
     if type(value) in _PARTLESS:
         return _plain(value)
     pending: list[Any] = [value]
-    for item in pending:  # grows meanwhile
+    for item in pending:  # grows during the loop
         kind = type(item)
         if kind is float:
             if not math.isfinite(item):
@@ -134,7 +143,9 @@ _PARTLESS = frozenset((bool, int, float, str))
 
 
 def _plain(value: object) -> bool:
-    """The same for what has no parts; floats and ints of other libraries are subclasses."""
+    """Do the check of `transmissible` for a value without parts.
+
+    Subclasses are floats and ints of other libraries."""
     match value:
         case bool() | bytes():
             return True

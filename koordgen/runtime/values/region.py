@@ -1,4 +1,4 @@
-"""Regions of space, which stand on the right of `in`. Metres, local ENU."""
+"""Regions of space, the right operands of `in`. Metres, local ENU."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from koordgen.runtime.values.points import Point, distance, no_nan
 
 
 class Rect(NamedTuple):
-    """The axis-parallel box between two corners, given in any order; its faces belong to it."""
+    """Axis-aligned box between two corners in any order, faces included."""
 
     a: Point
     b: Point
@@ -23,7 +23,9 @@ class Rect(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """The points at most `radius` away from `center`. NotANumber where the distance is none, of points at infinity."""
+    """Points at most `radius` away from `center`.
+
+    Raises NotANumber if the distance is NaN, for infinite points."""
 
     center: Point
     radius: float

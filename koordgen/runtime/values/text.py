@@ -1,4 +1,4 @@
-"""Strings: parts of them, and how values are written in them."""
+"""Strings: substrings, and the notation of values in strings."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from koordgen.runtime.values.turns import made
 
 
 def part(text: str, a: int | None, b: int | None) -> str:
-    """The characters from a up to, not including, b; None is the start or the end. Bounds beyond the length are
-    clipped; OutOfRange for a negative one."""
+    """Return the characters from a up to, not including, b; None is the start or the end.
+
+    Bounds beyond the length are clipped. Raises OutOfRange for a negative one."""
     if (a is not None and a < 0) or (b is not None and b < 0):
         raise OutOfRange("a negative index bounds no part of a text: indices never count from the end")
     return made(text[a:b])
 
 
 def shown(p: Point) -> str:
-    """`(x, y, z)`, metres."""
+    """Return a Point as `(x, y, z)`, in metres."""
     return f"({p.x}, {p.y}, {p.z})"

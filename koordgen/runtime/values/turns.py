@@ -1,12 +1,14 @@
-"""Limits of one event: the turns of its loops, and the sizes of the numbers, texts and collections that it makes.
+"""Limits of one event.
 
-An event, a guard and a formula each have MOST_TURNS turns. A turn of a loop and a call of a function cost one turn; so
-does every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text, and of one that is gone through. What
-needs more raises TooMuch, which discards the event. koordgen/lang/semantics counts the same; tests/agree compares both
-at the limits. Generated code has no call where a static bound shows that the cost is 0 (koordgen/build/emit/size.py).
+Turns of its loops, and sizes of the numbers, texts and collections that it makes.
 
-The count is an iterator that one process has, for one event at a time: counting stays in C.
-"""
+An event, a guard and a formula each have MOST_TURNS turns. One turn of a loop and one call of a function cost one turn.
+Every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text cost one turn, too, and so does passing over
+such a collection. More than the limit raises TooMuch, which discards the event. koordgen/lang/semantics counts the
+same; tests/agree compares both at the limits. Generated code has no call where a static bound shows that the cost is 0
+(koordgen/build/emit/size.py).
+
+The count is an iterator of the process, for one event at a time: counting stays in C."""
 
 from __future__ import annotations
 
@@ -25,10 +27,10 @@ S = TypeVar("S", bound=Sized)
 MOST_TURNS = 1_000_000
 ELEMENTS_A_TURN = 100
 MOST_ELEMENTS = 100_000  # of a list, set, map, queue; characters of a text
-CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
+CELLS_AN_ELEMENT = 100  # this many cells of a GridMap count as one element
 MOST_BITS = 4096  # of an int
-_PLAIN = frozenset((int, bool, float, Point))  # of these nothing is counted
-SMALL_BITS = 64  # an int of at most so many is added and subtracted without a look at the result
+_PLAIN = frozenset((int, bool, float, Point))  # types whose values have no elements to count
+SMALL_BITS = 64  # an int of at most this length is added and subtracted without a check of the result
 TOO_LONG = f"an int of more than {MOST_BITS} bits"
 
 
@@ -41,7 +43,7 @@ class NoTurns(TooMuch):
 
 
 class _UsedUp:
-    """Emit what comes after the last turn."""
+    """Iterator after the last turn: it raises NoTurns."""
 
     def __iter__(self) -> _UsedUp:
         return self
@@ -51,7 +53,7 @@ class _UsedUp:
 
 
 class _Count:
-    """The turns that are left: an iterator that yields True for each, and raises TooMuch after the last."""
+    """Remaining turns: an iterator that yields True for each, and raises TooMuch after the last."""
 
     def __init__(self) -> None:
         self.left: Iterator[Literal[True]] | None = None
@@ -67,7 +69,7 @@ _count = _Count()
 
 def begin() -> None:
     """Start the count for the next event, guard or formula."""
-    _count.left = None  # made when it is asked for: most events have no loop
+    _count.left = None  # created on demand: most events have no loop
 
 
 def turns(values: Iterable[T]) -> Iterator[T]:
@@ -81,7 +83,7 @@ def turn() -> Literal[True]:
 
 
 def made(value: S) -> S:
-    """Return a new list, set, map, queue or text, for the turns that it costs. Raises TooMuch."""
+    """Return a new list, set, map, queue or text, after spending its turns. Raises TooMuch."""
     size = len(value)
     if size >= ELEMENTS_A_TURN:
         if size > MOST_ELEMENTS:
@@ -91,8 +93,9 @@ def made(value: S) -> S:
 
 
 def looked(values: S) -> S:
-    """Return a text, or a list, queue or set of numbers or Points, that is gone through, for the turns that it costs.
-    Raises TooMuch."""
+    """Return a collection after spending the turns of passing over it.
+
+    It is a text, or a list, queue or set of numbers or Points. Raises TooMuch."""
     size = len(values)
     if size >= ELEMENTS_A_TURN:
         spend(size // ELEMENTS_A_TURN)
@@ -100,16 +103,18 @@ def looked(values: S) -> S:
 
 
 def looked_in(value: T) -> T:
-    """Return a value of any type that is gone through with all that is in it, for the turns that it costs. Raises
-    TooMuch."""
+    """Return a value of any type, after spending the turns of passing over all its contents.
+
+    Raises TooMuch."""
     spend(elements(value) // ELEMENTS_A_TURN)
     return value
 
 
 def elements(value: object) -> int:
-    """Count the elements of a value and of all that is in it: elements of a list, queue or set and items of a tuple;
-    of a map its pairs, keys and values; characters; rays; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends
-    beyond what any event can pay for."""
+    """Count the elements of a value and of all its contents.
+
+    These are elements of a list, queue or set; items of a tuple; pairs, keys and values of a map; characters; rays; for
+    a GridMap one per CELLS_AN_ELEMENT cells. Counting ends beyond the limit of any event."""
     if isinstance(value, tuple):
         found = len(value)
         for part in value:
@@ -129,25 +134,25 @@ def elements(value: object) -> int:
 
 
 def spend(turns: int) -> None:
-    """Take so many turns. Raises TooMuch."""
+    """Spend this many turns. Raises TooMuch."""
     if turns:
         next(islice(_count.left or _count.full(), turns - 1, None))
 
 
 def plus(a: int, b: int) -> int:
-    """a + b. Raises TooMuch when both are beyond SMALL_BITS and the sum is beyond MOST_BITS."""
+    """Return a + b. Raises TooMuch if both are beyond SMALL_BITS and the sum is beyond MOST_BITS."""
     found = a + b
     return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
 
 
 def minus(a: int, b: int) -> int:
-    """a - b. Raises TooMuch as `plus` does."""
+    """Return a - b. Raises TooMuch as `plus` does."""
     found = a - b
     return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
 
 
 def product(a: int, b: int) -> int:
-    """a * b. Raises TooMuch beyond MOST_BITS."""
+    """Return a * b. Raises TooMuch beyond MOST_BITS."""
     if a.bit_length() + b.bit_length() <= MOST_BITS + 1:  # a product has as many bits as both factors, or one less
         found = a * b
         if found.bit_length() <= MOST_BITS:
@@ -156,7 +161,7 @@ def product(a: int, b: int) -> int:
 
 
 def checked(found: int) -> int:
-    """Return an int. Raises TooMuch beyond MOST_BITS."""
+    """Return an int after a check. Raises TooMuch beyond MOST_BITS."""
     if found.bit_length() > MOST_BITS:
         raise TooMuch(TOO_LONG)
     return found

@@ -1,6 +1,5 @@
 """Vehicle: the program's ports over a platform.
 
 Owns: the platform interface, ports, geofence and stale positions, drivers of users, feeds, lidar scans.
-Offers: `Platform` to targets, `Body` to the agent.
-Must not import: `trace` or any room above it.
-"""
+Offers: `Platform` to targets, `VehicleInterface` to the agent.
+Must not import: `trace` or any room above it."""

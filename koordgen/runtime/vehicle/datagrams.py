@@ -1,4 +1,4 @@
-"""UDP ports on which the feeds of base stations and sensors arrive, never blocking."""
+"""UDP ports for feeds of base stations and sensors. Never blocking."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from typing import Protocol
 from koordgen.runtime.vehicle.platform import Unready
 
 LARGEST_DATAGRAM = 2048
-# All that a socket buffers, or what waits behind a flood would be taken for new; and no more than is done in a few
-# milliseconds.
+# All that a socket buffers, so that no old datagram passes for a new one; handled within a few milliseconds.
 DATAGRAMS_A_POLL = 512
 
 
 def raw_clock() -> float:
-    """Seconds of a clock that runs as evenly as the computer's crystal: NTP slews the monotonic clock by far more."""
+    """Return seconds of a clock with the computer's crystal rate.
+
+    NTP slews the monotonic clock by far more."""
     return time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
 
 
 class DatagramLink(Protocol):
-    """Where datagrams arrive. None: there is none now."""
+    """Source of datagrams. None: no datagram at present."""
 
     def receive(self) -> bytes | None: ...
 
@@ -29,7 +30,7 @@ class DatagramLink(Protocol):
 
 
 class UdpLink:
-    """A bound UDP socket. Raises OSError or OverflowError when it cannot be bound."""
+    """Bound UDP socket. Raises OSError or OverflowError if it cannot be bound."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -43,7 +44,7 @@ class UdpLink:
     def receive(self) -> bytes | None:
         try:
             return self._socket.recv(LARGEST_DATAGRAM)
-        except OSError:  # nothing there; or a stray network error, which later silence tells well enough
+        except OSError:  # no datagram, or a stray network error, which silence will show
             return None
 
     def close(self) -> None:
@@ -51,12 +52,13 @@ class UdpLink:
 
 
 def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpLink:
-    """Bind the port that a robot's setting `key` names, "udp:HOST:PORT", for `what` (plural) from `sender`. Raises
-    Unready."""
+    """Bind the port "udp:HOST:PORT" of a robot's setting `key`, for `what` (plural) from `sender`.
+
+    Raises Unready."""
     kind, _, address = setting.partition(":")
     host, _, port = address.rpartition(":")
     if kind != "udp" or not host or not port.isascii() or not port.isdigit():
-        raise Unready(f"{key} {setting!r} is not understood", f"write `{key}: udp:HOST:PORT`, as in {example}")
+        raise Unready(f"{key} {setting!r} is not a UDP address", f"write `{key}: udp:HOST:PORT`, as in {example}")
     try:
         return UdpLink(host, int(port))
     except (OSError, OverflowError) as error:
@@ -66,12 +68,12 @@ def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpL
 
 
 def even_clock(link: DatagramLink) -> Callable[[], float] | None:
-    """Return the clock by which arrivals on a link are stamped: None on a simulated one, which has the caller's."""
+    """Return the clock that stamps arrivals on a link; None for a simulated link, which uses the caller's."""
     return raw_clock if isinstance(link, UdpLink) else None
 
 
 def waiting(link: DatagramLink) -> Iterator[bytes]:
-    """What has arrived, at most DATAGRAMS_A_POLL."""
+    """Yield the datagrams that have arrived, at most DATAGRAMS_A_POLL."""
     for _ in range(DATAGRAMS_A_POLL):
         datagram = link.receive()
         if datagram is None:

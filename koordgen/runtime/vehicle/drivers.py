@@ -1,9 +1,8 @@
-"""Modules that the target does not offer, served by the user's own driver classes beside the platform.
+"""Drivers: the user's own classes that serve modules which the target does not offer.
 
 A driver has `sense() -> dict` and `command(dict)`, by the names of its ports, and may have `call(port, args)` and
-`close()`. None of them may block. One that raises, or that senses what is none of the port's type, makes the robot
-skip its rounds until it senses again.
-"""
+`close()`. None of them may block. If one raises, or senses a value of a wrong type, the robot skips its rounds until it
+senses again."""
 
 from __future__ import annotations
 
@@ -22,12 +21,14 @@ Drivers = Mapping[str, Callable[[], Any]]
 
 
 def with_drivers(platform: Platform, program: Program, drivers: Drivers) -> Platform:
-    """The platform, and beside it a driver for each module named. Raises Unready for a driver that cannot be made."""
+    """Return the platform with a driver for each module named.
+
+    Raises Unready if a driver cannot be created."""
     return Driven(platform, program, drivers) if drivers else platform
 
 
 class Driven:
-    """A Platform that serves some modules by drivers, and passes on all else."""
+    """Platform that serves some modules by drivers, and passes on all others."""
 
     def __init__(self, platform: Platform, program: Program, drivers: Drivers) -> None:
         self._platform = platform
@@ -38,20 +39,20 @@ class Driven:
                 self._drivers[module] = make()
         except ESCAPES as error:
             self.close()
-            raise Unready(f"the driver of {module} cannot be made: {_told(error)}") from None
+            raise Unready(f"the driver of {module} cannot be created: {_told(error)}") from None
         self._types = {
             p.name: p.type
             for p in program.ports
             if p.direction == "sensor" and p.name.partition(".")[0] in self._drivers
         }
-        self._values: dict[str, Any] = dict.fromkeys(self._types)  # None: there is none
+        self._values: dict[str, Any] = dict.fromkeys(self._types)  # None: no value
         self._trouble = ""
 
     def diagnose(self) -> list[Finding]:
         self._sample()
         names = ", ".join(f"{module} by {type(driver).__name__}" for module, driver in self._drivers.items())
         trouble = self._trouble
-        hint = "see to its device, or to the driver's class"
+        hint = "check its device and the driver's class"
         own = Finding("drivers", "fail", trouble, why=hint) if trouble else Finding("drivers", "ok", names)
         return [*self._platform.diagnose(), own]
 
@@ -82,7 +83,7 @@ class Driven:
         self._hand_on(actuators, now, self._platform.command)
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Resumes; drivers are commanded anew."""
+        """Resume, as Resumes.resume; drivers receive all commands again."""
         platform = self._platform
         self._hand_on(actuators, now, platform.resume if isinstance(platform, Resumes) else platform.command)
 
@@ -103,7 +104,7 @@ class Driven:
             try:
                 self._drivers[module].command(written)
             except ESCAPES as error:
-                raise Unready(f"the driver of {module} did not take a command: {_told(error)}") from None
+                raise Unready(f"the driver of {module} refused a command: {_told(error)}") from None
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         module, _, name = port.partition(".")

@@ -1,10 +1,11 @@
-"""Position feed: a robot's own pose, measured and sent by a base station (motion capture, or the simulator).
+"""Position feed.
 
-One sealed MessagePack datagram a sample; see `Sample` for its fields and docs/reference/wire.md for the bytes. Sequence
-numbers only grow within a session (one run of the base station), so an old sample is never taken for a new one. The
-transit time of a sample is compared with the least one of its session, so a delay that grows is noticed, however
-slowly. A delay that all samples of a session have had cannot be seen.
-"""
+A robot's own pose, measured and sent by a base station (motion capture, or the simulator).
+
+One sealed MessagePack datagram per sample; see `Sample` for its fields and docs/reference/wire.md for the bytes.
+Sequence numbers only grow within a session (one run of the base station), so an old sample never passes for a new one.
+The transit time of a sample is compared with the shortest one of its session, so a growing delay is detected, however
+slow. A delay common to all samples of a session cannot be detected."""
 
 from __future__ import annotations
 
@@ -17,17 +18,19 @@ from koordgen.runtime.net.seal import POSITION, seal, unseal
 from koordgen.runtime.values.points import Pose
 from koordgen.runtime.vehicle.datagrams import DatagramLink, UdpLink, even_clock, listen
 
-FARTHEST = 100_000.0  # metres from the origin, and radians of yaw: more is no pose of a robot
-LATEST = 1e12  # seconds on a sender's clock; more is no time
-DRIFT = 200e-6  # by which the clocks of two computers run apart, at most: crystals are within 100 ppm
-OVERTAKEN = 100  # samples of an earlier session in a row after which the robot's people are told
+FARTHEST = 100_000.0  # metres from the origin, and radians of yaw: larger values are invalid
+LATEST = 1e12  # seconds on a sender's clock; larger values are invalid
+DRIFT = 200e-6  # largest relative drift of two computers' clocks: crystals are within 100 ppm
+OVERTAKEN = 100  # consecutive samples of an earlier session after which a warning is logged
 _HINT = "start the base station; check that it knows this robot's name, address and the fleet's key"
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One measured pose: `robot` by its name in the fleet file, metres and radians in local ENU; `sent` is when it was
-    sent (seconds on the sender's clock, which runs on evenly within a session), and `age` the seconds between the
-    measurement and the sending. `application` is the fleet's application_id."""
+    """One measured pose.
+
+    `robot`: its name in the fleet file. `pose`: metres and radians in local ENU. `sent`: time of sending (seconds on
+    the sender's clock, steady within a session). `age`: seconds between measurement and sending. `application`: the
+    fleet's application_id."""
 
     robot: str
     session: int
@@ -43,29 +46,32 @@ _decoder = msgspec.msgpack.Decoder(Sample)
 
 
 def encode(sample: Sample, key: bytes | None) -> bytes:
-    """A datagram that carries one sample."""
+    """Return a datagram with one sample."""
     return seal(key, POSITION, _encoder.encode(sample))
 
 
 class Transit:
-    """Brings the sender's clock to ours: the datagram of a session with the shortest way is taken to have had none, and
-    every other one is as old as its way was longer. That difference of the clocks may grow by DRIFT and no faster, so a
-    delay that grows cannot pass for it. No datagram is younger than it is said to be."""
+    """Estimator of the sender's clock by the shortest transit time.
+
+    The datagram of a session with the shortest transit is assumed to have had none; every other one is as old as its
+    transit was longer. The estimated difference of the clocks may grow by DRIFT at most, so a growing delay cannot pass
+    for it. No datagram is younger than claimed."""
 
     def __init__(self) -> None:
-        self._least = math.inf  # our clock minus theirs
-        self._last = -math.inf  # when the last datagram arrived
+        self._least = math.inf  # own clock minus the sender's
+        self._last = -math.inf  # time when the last datagram arrived
 
     def arrived(self, sent: float, now: float) -> float:
-        """When a datagram was sent, on our clock; not later than `now`."""
+        """Return when a datagram was sent, on the own clock; not later than `now`."""
         self._least = min(self._least + DRIFT * max(0.0, now - self._last), now - sent)
         self._last = now
         return min(now, sent + self._least)
 
 
 class Feed:
-    """Receives one robot's samples. `rejected` counts what was dropped, by reason; nothing received ever raises.
-    `time` is when `pose` was true, seconds on our clock."""
+    """Receiver of one robot's samples. No datagram raises.
+
+    `rejected` counts dropped datagrams by reason. `time`: when `pose` was true, in seconds on the own clock."""
 
     def __init__(self, robot: str, key: bytes | None, application: int = 0) -> None:
         self._robot = robot
@@ -75,17 +81,17 @@ class Feed:
         self._sequence = -1
         self._transit = Transit()
         self._even: Callable[[], float] | None = None
-        self._overtaken = 0  # samples of an earlier session since the last one that was taken
+        self._overtaken = 0  # samples of an earlier session since the last accepted one
         self.rejected: dict[str, int] = {}
         self.pose: Pose | None = None
         self.time: float | None = None
 
     def hear(self, link: DatagramLink) -> None:
-        """Stamp the samples that this link brings: by the raw clock for a real socket."""
+        """Stamp the samples of this link: by the raw clock for a real socket."""
         self._even = even_clock(link)
 
     def take(self, datagram: bytes, now: float) -> bool:
-        """Take a datagram that arrived at `now`; True when it brought a newer pose."""
+        """Handle a datagram that arrived at `now`. Return whether it brought a newer pose."""
         payload = unseal(self._key, POSITION, datagram)
         if payload is None:
             return self.reject("not authentic")
@@ -115,34 +121,34 @@ class Feed:
         return True
 
     def news(self) -> list[str]:
-        """Return log lines since the last call: a base station whose session is older than one heard before."""
+        """Return log lines since the last call: a base station with a session older than one received before."""
         if self._overtaken < OVERTAKEN:
             return []
-        self._overtaken = -(10 * OVERTAKEN)  # it is said again after as many more
+        self._overtaken = -(10 * OVERTAKEN)  # repeated after as many more
         return [
-            f"{OVERTAKEN} positions were refused: they are of an earlier run of the base station than one heard before "
-            f"(session {self._session}). Does another base station run, or is its computer's clock behind? Set that "
-            "clock and start the base station again, or restart this agent"
+            f"{OVERTAKEN} positions were refused: they are of an earlier run of the base station than one received "
+            f"before (session {self._session}). Does another base station run, or is its computer's clock behind? Set "
+            "that clock and start the base station again, or restart this agent"
         ]
 
     def reject(self, reason: str) -> bool:
-        """Count what is dropped; False, for the caller to return."""
+        """Count a dropped datagram. Return False, for the caller to return."""
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
         return False
 
     @property
     def dropped(self) -> str:
-        """What was dropped, in words, to follow a message; "" when nothing was."""
+        """Dropped datagrams as text to append to a message; "" if there are none."""
         told = ", ".join(f"{_about(n)} {why}" for why, n in self.rejected.items())
         return f"; dropped: {told}" if told else ""
 
     def silent(self, setting: str, seconds: float) -> tuple[str, str]:
-        """Message and hint of the Unready when nothing has come on `setting` for so long."""
+        """Return message and hint of the Unready after a silence of `seconds` on `setting`."""
         return f"no position has arrived on {setting} for {seconds:.0f} s{self.dropped}", _HINT
 
 
 def _about(n: int) -> str:
-    """Large counts roughly: a text that is told when it changes must not change with each datagram of a flood."""
+    """Round a large count: a logged text must not change with each datagram of a flood."""
     return str(n) if n < 100 else f"{10 ** (len(str(n)) - 1)}+"
 
 

@@ -1,10 +1,9 @@
-"""What a target implements: one robot's body behind its program's ports.
+"""Platform interface, which a target implements: one robot's vehicle behind its program's ports.
 
-The agent is one poll loop. It calls `poll` at least every `period` seconds and everything else between two polls;
-no call may block for more than a few milliseconds (what takes longer runs in a process of the platform's own), none
-sleeps, and time comes in as an argument, so that the simulator can own it. Frames: local ENU metres about the
-fleet's origin, yaw in radians counter-clockwise from east.
-"""
+The agent is one poll loop. It calls `poll` at least every `period` seconds and everything else between two polls. No
+call may block for more than a few milliseconds (longer work runs in a process of the platform's own), none sleeps, and
+time is passed as an argument, so that a simulator can control it. Frames: local ENU metres about the fleet's origin,
+yaw in radians counter-clockwise from east."""
 
 from __future__ import annotations
 
@@ -12,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
-if TYPE_CHECKING:  # what is found must be told even where no package is installed
+if TYPE_CHECKING:  # this module must be importable without any package, for checks
     from koordgen.runtime.values.points import Point
 
 
 class Unready(Exception):
-    """The body cannot serve: a link, a device or a setting is wrong. `hint` says what to do about it."""
+    """The vehicle cannot serve: a link, a device or a setting is wrong. `hint` says how to fix it."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -30,8 +29,9 @@ State = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at before a mission: what it is like, in a few words with units. Where it is not right, `wanted`
-    says how it should be (empty where that is plain) and `why` what comes of it otherwise and what to do."""
+    """Result of one check before a mission: the state found, in a few words with units.
+
+    If it is not right: `wanted` is the right state (empty if obvious), and `why` the consequence and the fix."""
 
     name: str
     state: State
@@ -41,14 +41,16 @@ class Finding:
 
     @staticmethod
     def of(name: str, error: Unready) -> Finding:
-        """What kept us from looking on."""
+        """Return the failed check for an error that ended further checks."""
         return Finding(name, "fail", error.message, why=error.hint)
 
 
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """The sensor ports at one moment. `values` is keyed by "Module.port"; `time` is when the position in it was true
-    (seconds on the agent's clock), or None when there has been none yet."""
+    """Values of the sensor ports at one time.
+
+    `values` is keyed by "Module.port". `time`: when the position was true (seconds on the agent's clock), or None
+    before the first position."""
 
     values: Mapping[str, Any]
     time: float | None
@@ -56,22 +58,28 @@ class Sensed:
 
 @dataclass(frozen=True, slots=True)
 class Vitals:
-    """State of a body that no program needs, but people do: yaw in radians counter-clockwise from east, and the charge
-    of its battery, 0 to 1. None: not known."""
+    """State of a vehicle for operators.
+
+    Yaw (radians, counter-clockwise from east) and battery charge (0 to 1).
+
+    None: unknown."""
 
     yaw: float | None = None
     battery: float | None = None
 
 
 class Platform(Protocol):
-    """Life: `diagnose` or (`start`, then `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
+    """Platform of one robot.
+
+    Life cycle: `diagnose` or (`start`, `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
 
     period: float  # seconds between two polls of the control loop
 
     def diagnose(self) -> list[Finding]:
-        """Open what must be opened, look, and close it, moving nothing. The first that fails is the one to repair
-        first; what cannot be looked at because of it may be left out. Raises nothing for what is merely wrong.
-        May take up to 15 seconds, the only call that may."""
+        """Open all links and devices, check them, and close them, without motion.
+
+        The first failure is the one to fix first; checks that depend on it may be left out. Raises nothing for a failed
+        check. May take up to 15 seconds, the only call that may."""
         ...
 
     def start(self, now: float) -> None:
@@ -79,85 +87,95 @@ class Platform(Protocol):
         ...
 
     def poll(self, now: float) -> None:
-        """Read the links, run the controller, write commands. Raises Unready when the body is lost for good."""
+        """Read the links, run the controller, write commands. Raises Unready if the vehicle is lost for good."""
         ...
 
     @property
     def ready(self) -> bool:
-        """Whether the robot is where a mission can begin, with fresh sensors."""
+        """True if the robot is where a mission can begin, with fresh sensors."""
         ...
 
     @property
     def progress(self) -> str:
-        """What the body is doing now, in a few words for the log: "waiting for a heartbeat on udp:...", "climbing"."""
+        """The vehicle's present activity in a few words for the log.
+
+        "waiting for a heartbeat on udp:...", "climbing"."""
         ...
 
     @property
     def stall(self) -> str:
-        """Why the body has no way to what was commanded last: what is wanted, then what is in the way. "" while it has
-        a way, needs none, or was told to hold or to come to rest."""
+        """Why the vehicle has no path to its last command: the target, then the obstacle.
+
+        "" while it has a path, needs none, holds, or stops."""
         ...
 
     def sense(self, now: float) -> Sensed:
-        """Sample all sensor ports the target offers."""
+        """Return the values of all sensor ports that the target offers."""
         ...
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Take the actuators that an event wrote ("Module.port" to value), already finite and inside the geofence."""
+        """Execute an event's writes to actuators ("Module.port" to value).
+
+        They are finite and inside the geofence."""
         ...
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Answer a callable port ("Motion.planner"), within the event that asks: a planner's answer is a tuple of
-        Points, empty when there is no way. May raise; then the event is discarded."""
+        """Answer a callable port ("Motion.planner") within the calling event.
+
+        A planner's answer is a tuple of Points, empty if there is no path. An exception discards the event."""
         ...
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
-        """The other robots' published paths by pid, each from where that robot is or was (a single point: it stays
-        there; none: it has published nothing). They come before an event whose calls are to keep clear of them."""
+        """Store the other robots' published paths by pid, for calls of the next event.
+
+        Each path begins where that robot is or was. A single point: it stays there. No path: it has published none."""
         ...
 
     def news(self) -> list[str]:
-        """What went wrong since this was asked last and does not end the mission, a line each for the log."""
+        """Return log lines on problems since the last call that do not end the mission."""
         ...
 
     def hold(self, on: bool, now: float) -> None:
-        """Pause at the present position, or resume what was commanded last. Idempotent. What does not move
-        yet does not begin to: a quad that is held before it took off stays on the ground for as long. Called from
-        before `start` on."""
+        """Hold at the present position, or resume the last command. Idempotent.
+
+        A vehicle at rest does not start: a quad that is held before take-off stays on the ground. Called from before
+        `start` on."""
         ...
 
     def rest(self, now: float) -> None:
-        """Begin the safe end: land, or brake and go neutral. Idempotent; not undone."""
+        """Begin the safe stop: land, or brake and go neutral. Idempotent; cannot be undone."""
         ...
 
     @property
     def rested(self) -> bool:
-        """Whether the safe end is reached."""
+        """True once the safe stop is complete."""
         ...
 
     def close(self) -> None:
-        """Give back links and devices; the body has been left at rest or in its own failsafe. Idempotent."""
+        """Close links and devices; the vehicle is at rest or in its own failsafe. Idempotent."""
         ...
 
 
 @runtime_checkable
 class Resumes(Protocol):
-    """A platform that can go on amid a path. One that cannot is commanded anew after a restart."""
+    """Platform that can resume within a path. Others receive the whole command again after a restart."""
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """As `command`, with what an earlier life of this robot had commanded: of a path, the points before the leg
-        that is nearest to the robot are behind it. The way to the next point has not been checked by anybody."""
+        """Resume the commands of an earlier life of this robot, as `command` does.
+
+        The points of a path before the leg that is nearest to the robot count as passed. No planner has checked the way
+        to the next point."""
         ...
 
 
 @runtime_checkable
 class Examined(Protocol):
-    """A platform that knows its vitals."""
+    """Platform that reports vitals."""
 
     @property
     def vitals(self) -> Vitals: ...
 
 
 def vitals(platform: Platform) -> Vitals:
-    """Return a platform's vitals; nothing is known of a platform that does not tell them."""
+    """Return a platform's vitals; all unknown if it does not report them."""
     return platform.vitals if isinstance(platform, Examined) else Vitals()

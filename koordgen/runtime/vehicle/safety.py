@@ -1,8 +1,7 @@
-"""The safety layer: geofence, own position stale or outside. Pure: it judges, the agent acts.
+"""Safety layer: geofence, and stale or outside own position. It only judges; the agent acts.
 
-Frames: local ENU metres. A robot's own position is the sensor that its program declares as such; if it declares none,
-the one that its platform calls `<Module>.position`.
-"""
+Frames: local ENU metres. A robot's own position is the sensor that its program declares as such; without one, the
+platform's `<Module>.position`."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from koordgen.runtime.vehicle.platform import Sensed
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What must be done now, and why in words."""
+    """Required reaction, with its reason."""
 
     action: Literal["go", "hold", "rest"]
     reason: str = ""
@@ -28,41 +27,41 @@ GO = Verdict("go")
 
 
 def inside(box: Box, p: Point) -> bool:
-    """Whether a point lies in the box, its faces included, its corners given in any order."""
+    """Return whether a point is in the box, faces included. The box's corners may be in any order."""
     lo, hi = _corners(box)
     return all(a <= v <= b for a, v, b in zip(lo, (p.x, p.y, p.z), hi, strict=True))
 
 
 def clamp(box: Box, p: Point) -> Point:
-    """The point of the box nearest to `p`."""
+    """Return the point of the box nearest to `p`."""
     lo, hi = _corners(box)
     return Point(*(max(a, min(v, b)) for a, v, b in zip(lo, (p.x, p.y, p.z), hi, strict=True)))
 
 
 def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The actuators with every Point (also within a tuple) moved into the box, and the names of those that were."""
+    """Return the actuators with every Point clamped to the box, and the names of changed ones."""
     moved: dict[str, Any] = {name: _into(box, value) for name, value in actuators.items()}
     return moved, [name for name, value in moved.items() if value != actuators[name]]
 
 
 def own_position(sensed: Sensed, declared: Sequence[str] = ()) -> Point | None:
-    """Return the robot's own position, if there is one; `declared` are the sensors that the program declares as it."""
+    """Return the robot's own position, or None; `declared`: sensors that the program declares as it."""
     offered = [name for name in sensed.values if name.endswith(".position")]
     places = (sensed.values.get(name) for name in (*declared, *offered))
     return next((place for place in places if isinstance(place, Point)), None)
 
 
 class Guard:
-    """Watches one robot's own position from the moment it is ready; `declared`: see own_position."""
+    """Monitor of one robot's own position, from the time it is ready; `declared`: see own_position."""
 
     def __init__(self, safety: Safety, fence: Box, declared: Sequence[str] = ()) -> None:
         self._safety, self._declared = safety, declared
         self._fence = fence
-        self._since = math.inf  # when watching began
+        self._since = math.inf  # time of the first call
         self._outside: float | None = None
 
     def judge(self, sensed: Sensed, now: float) -> Verdict:
-        """What the sensors at local time `now` demand."""
+        """Return the reaction that the sensors at local time `now` require."""
         self._since = min(self._since, now)
         age = now - (self._since if sensed.time is None else sensed.time)
         position = own_position(sensed, self._declared)

@@ -1,9 +1,8 @@
-"""The scan feed: what a lidar's driver (or the simulator) tells a robot about what stands around it.
+"""Scan feed: lidar scans that a driver (or the simulator) sends to a robot.
 
-One sealed MessagePack datagram a turn; see `Sweep` for its fields. As in the position feed, sequence numbers only grow
-within a session (one run of the driver). A turn is seen for `WINDOW` seconds after it was measured: a robot may look
-several times a round, and sees the same.
-"""
+One sealed MessagePack datagram per turn; see `Sweep` for its fields. As in the position feed, sequence numbers only
+grow within a session (one run of the driver). A scan stays visible for `WINDOW` seconds after it was measured: a robot
+may read several times a round, and gets the same."""
 
 from __future__ import annotations
 
@@ -21,11 +20,11 @@ from koordgen.runtime.vehicle.platform import Finding, Unready
 
 WINDOW = 0.5  # seconds
 PATIENCE = 60.0  # seconds for the first scan: a driver may be started after the robot
-MOST_SCANS = 4  # that are kept: the newest
-MOST_RAYS = 512  # in a turn: it fits in one datagram of 1200 bytes
-FARTHEST = 1000.0  # metres that a lidar may claim to see
-NOTHING = 0xFFFF  # the range of a ray that met nothing
-_TURNS = 100.0  # radians: more is no angle
+MOST_SCANS = 4  # newest scans kept
+MOST_RAYS = 512  # per turn: it fits into one datagram of 1200 bytes
+FARTHEST = 1000.0  # metres, largest accepted range of a lidar
+NOTHING = 0xFFFF  # encoded range of a ray without a hit
+_TURNS = 100.0  # radians; larger angles are invalid
 _HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
 
 Seen = tuple[Point, Scan]
@@ -33,10 +32,11 @@ Bind = Callable[[str], DatagramLink]
 
 
 class Sweep(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One turn of robot `robot`'s lidar, measured at `position` (m, local ENU). Ray i points to `first + i * step`
-    radians from east, counter-clockwise: the driver has turned them by the robot's heading. `ranges` are unsigned
-    16-bit numbers, little-endian: 65535 for a ray that met nothing, else 65535ths of `max_range` (m). `age` is
-    the seconds between the measurement and the sending."""
+    """One turn of robot `robot`'s lidar, measured at `position` (m, local ENU).
+
+    Ray i points to `first + i * step` radians from east, counter-clockwise: the driver has corrected the robot's
+    heading. `ranges`: unsigned 16-bit numbers, little-endian, in 65535ths of `max_range` (m); 65535 for a ray without a
+    hit. `age`: seconds between measurement and sending."""
 
     robot: str
     session: int
@@ -54,7 +54,7 @@ _decoder = msgspec.msgpack.Decoder(Sweep)
 
 
 def packed(ranges: Sequence[float], max_range: float) -> bytes:
-    """`Sweep.ranges` of ranges in metres; `max_range` and more stand for a ray that met nothing."""
+    """Encode ranges in metres as `Sweep.ranges`; values from `max_range` on count as no hit."""
     numbers = (
         NOTHING if r >= max_range else min(NOTHING - 1, round(max(0.0, r) / max_range * NOTHING)) for r in ranges
     )
@@ -62,12 +62,12 @@ def packed(ranges: Sequence[float], max_range: float) -> bytes:
 
 
 def encode(sweep: Sweep, key: bytes | None) -> bytes:
-    """A datagram that carries one turn."""
+    """Return a datagram with one turn."""
     return seal(key, SCAN, _encoder.encode(sweep))
 
 
 class Scans:
-    """Receives one robot's scans. `rejected` counts what was dropped, by reason; nothing received ever raises."""
+    """Receiver of one robot's scans. `rejected` counts dropped datagrams by reason. No datagram raises."""
 
     def __init__(self, robot: str, key: bytes | None) -> None:
         self._robot = robot
@@ -79,11 +79,11 @@ class Scans:
 
     @property
     def heard(self) -> bool:
-        """Whether a scan has ever come."""
+        """True if a scan has ever arrived."""
         return self._sequence >= 0
 
     def take(self, datagram: bytes, now: float) -> bool:
-        """Take a datagram that arrived at `now`; True when it brought a newer turn."""
+        """Handle a datagram that arrived at `now`. Return whether it brought a newer turn."""
         payload = unseal(self._key, SCAN, datagram)
         if payload is None:
             return self._reject("not authentic")
@@ -102,7 +102,7 @@ class Scans:
         return True
 
     def recent(self, now: float) -> tuple[Seen, ...]:
-        """The scans not older than WINDOW, each with where it was measured, the newest last; changes nothing."""
+        """Return the scans not older than WINDOW with their positions, the newest last; changes nothing."""
         return tuple(seen for time, seen in self._seen if now - time <= WINDOW)
 
     def _reject(self, reason: str) -> bool:
@@ -111,14 +111,14 @@ class Scans:
 
 
 class ScanPort:
-    """Where one robot's scans arrive, by its setting `scans`: "udp:HOST:PORT", or "" when it has no lidar."""
+    """Receiving end of one robot's scans, by its setting `scans`: "udp:HOST:PORT", or "" without a lidar."""
 
     def __init__(self, setting: str, robot: str, key: bytes | None, bind: Bind | None = None) -> None:
-        """`bind` opens what the setting names."""
+        """`bind` opens the port of the setting."""
         self._setting = setting
         self._bind = bind or listen_for_scans
         self._link: DatagramLink | None = None
-        self._began: float | None = None  # when the first scan was first looked for
+        self._began: float | None = None  # time of the first poll
         self._patient = True
         self.scans = Scans(robot, key)
 
@@ -129,8 +129,9 @@ class ScanPort:
         self._link = self._bind(self._setting)
 
     def poll(self, now: float) -> None:
-        """Take what has arrived. Raises Unready, once, when no scan has come for PATIENCE seconds: the robot must be
-        able to go on to its safe end."""
+        """Handle all received datagrams.
+
+        Raises Unready once, if no scan arrives for PATIENCE seconds: the robot must then be able to stop safely."""
         if self._link is None:
             return
         for datagram in waiting(self._link):
@@ -142,15 +143,16 @@ class ScanPort:
 
     @property
     def waiting(self) -> str:
-        """In words, that the first scan is still to come; "" when it has come, or none will."""
+        """Text that the first scan is awaited; "" if it has arrived, or none will."""
         if not self._setting or self.scans.heard:
             return ""
         rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
         return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
 
     def diagnose(self, wait: Callable[[float], None]) -> list[Finding]:
-        """For a platform's `diagnose`: whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
-        A lidar slower than WINDOW would often show nothing."""
+        """Check whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
+
+        For a platform's `diagnose`. A lidar slower than WINDOW would often show nothing."""
         if not self._setting:
             return []
         try:
@@ -167,7 +169,7 @@ class ScanPort:
         return [Finding("scans", "fail", f"{self.waiting}, but none has come", f"one within {WINDOW:g} s", _HINT)]
 
     def close(self) -> None:
-        """Give the port back. Idempotent."""
+        """Close the port. Idempotent."""
         if self._link is not None:
             self._link.close()
             self._link = None
@@ -180,7 +182,7 @@ def listen_for_scans(setting: str) -> UdpLink:
 
 
 def _sound(sweep: Sweep) -> bool:
-    """Whether the numbers of a turn are such (comparisons with NaN are false), and as many as they may be."""
+    """Return whether the numbers of a turn are valid (comparisons with NaN are false), and not too many."""
     p = sweep.position
     return (
         all(map(math.isfinite, (p.x, p.y, p.z, sweep.age)))

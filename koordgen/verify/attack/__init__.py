@@ -1,8 +1,8 @@
-"""Attack on PROVED: concrete states are run through the executable semantics, in exact arithmetic.
+"""Attack on PROVED: runs concrete states through the executable semantics, in exact arithmetic.
 
-One contradiction shows that the prover is wrong; none shows nothing.
+One contradiction shows that the prover is wrong. Finding none proves nothing.
 
-Owns: where states come from, what is run on them, what contradicts a verdict, the file of a contradiction.
-Offers: `attack.attack`, `judge.Judge.follow` and `file`.
+Owns: sources of states, the steps that are run on them, contradictions of verdicts, the file of a contradiction.
+Offers: `attack.attack`, `judge.TrialJudge.replay` and `file`.
 Must not import: the prover's obligations (`verify.prove.obligations`), because it would repeat their mistakes.
 """

@@ -1,9 +1,9 @@
-"""Attack on a program's PROVED invariants, within a budget: which states are run, in which order, and what was found.
+"""Attack on PROVED invariants within a time budget: the states, their order, and the result.
 
-Cheap and telling states come first: initial states, `init`, the first events of each robot. Then three sources take
-turns by the time that they have used: random walks out of `init`; states from the solver's models, from which one round
-is run in every order; and states beside those, which differ in a few variables. The same program and seed give the same
-states; the budget says how many of them.
+Cheap and likely states come first: initial states, `init`, the first events of each robot. Then three sources alternate
+by the time that they have used: random walks from `init`; states from the solver's models, from which one round is run
+in every order; and variations of known states, which differ in a few variables. The same program and seed give the
+same states; the budget decides how many of them.
 """
 
 from __future__ import annotations
@@ -31,38 +31,40 @@ from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
     Act,
-    Breach,
     Contradiction,
-    Judge,
-    Refused,
     Trial,
-    Unusable,
+    TrialJudge,
+    TrialNotCovered,
+    UnusableStep,
+    VerdictBreach,
     key_of,
 )
 from koordgen.verify.attack.models import Models
 from koordgen.verify.attack.states import States
 
 if TYPE_CHECKING:
-    from koordgen.verify.prove.smt.solve import Both, Solver
+    from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-SECONDS = 0.05  # of an attack, where nothing else is asked for
-FLEETS = (1, 2, 3, 4)  # robots
-STARTS = 2  # initial states of each number of robots, at first
-TRIES = 12  # of drawing an initial state
-ROUNDS = 6  # of one random walk
-ORDERS = 150  # steps in one round from one pre-state, at most
-VARIED_ORDERS = 8  # the same, from a state beside a known one
-MODEL_RUNS = 60  # steps that one pre-state is expected to bring to its event, until the solver is asked for another
-SKIPS = 0.15  # of the turns of robots in a random walk
-STALE = 400  # pieces of work without a new state, after which the attack ends
-FIRST = 0.4  # of the budget, until the solver is asked
+SECONDS = 0.05  # default budget of an attack
+FLEETS = (1, 2, 3, 4)  # numbers of robots
+STARTS = 2  # initial states of each number of robots that come first
+TRIES = 12  # attempts to draw one initial state
+ROUNDS = 6  # length of one random walk
+ORDERS = 150  # most steps in one round from one pre-state
+VARIED_ORDERS = 8  # most steps in one round from a variation of a known state
+MODEL_RUNS = 60  # expected runs of an event from one pre-state, before the solver is asked for another
+SKIPS = 0.15  # probability that a robot skips its turn in a random walk
+STALE = 400  # units of work without a new state that end the attack
+FIRST = 0.4  # part of the budget before the solver is asked
 
 Clock = Callable[[], float]
 
 
-class Report(NamedTuple):
-    """Result of an attack. `states`: the number of states that each invariant was judged in, by step (an event's name,
-    "init", "(environment)") and invariant. `reasons`: why it was judged in none, by the same."""
+class AttackReport(NamedTuple):
+    """Result of an attack.
+
+    `states`: number of states in which each invariant was judged, by step (an event's name, "init", "(environment)")
+    and invariant. `reasons`: why there were none, with the same keys."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -70,7 +72,7 @@ class Report(NamedTuple):
     seconds: float
 
     def of(self, step: str, invariant: str) -> tuple[int, str]:
-        """Return the number of states that an obligation was attacked with, and the reason where it is 0."""
+        """Return the number of states with which an obligation was attacked, and the reason if it is 0."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -78,11 +80,11 @@ class Report(NamedTuple):
         return 0, found or "no state was found from which the step can be run"
 
 
-class Spent(Exception):
+class BudgetSpent(Exception):
     """The budget is used up."""
 
 
-class Found(Exception):
+class ContradictionFound(Exception):
     """A step contradicts a verdict."""
 
     def __init__(self, contradiction: Contradiction) -> None:
@@ -90,9 +92,11 @@ class Found(Exception):
         self.contradiction = contradiction
 
 
-class Place(NamedTuple):
-    """Position within a run: its first state, the state at the round's start, the state now, the robots that had their
-    turn in this round, all steps until now."""
+class RunPosition(NamedTuple):
+    """Position within a run.
+
+    `first`: the run's first state; `start`: the state at the round's start; `now`: the present state; `turns`: the
+    robots that had their turn in this round; `acts`: all steps so far."""
 
     first: State
     start: State
@@ -100,46 +104,49 @@ class Place(NamedTuple):
     turns: frozenset[int]
     acts: tuple[Act, ...]
 
-    def then(self, act: Act, now: State) -> Place:
-        """Return the place after a step. The environment's step and `init` begin the next round."""
+    def then(self, act: Act, now: State) -> RunPosition:
+        """Return the position after a step. The environment's step and `init` begin the next round."""
         acts = (*self.acts, act)
         if act.pid is None:
-            return Place(self.first, now, now, frozenset(), acts)
-        return Place(self.first, self.start, now, self.turns | {act.pid}, acts)
+            return RunPosition(self.first, now, now, frozenset(), acts)
+        return RunPosition(self.first, self.start, now, self.turns | {act.pid}, acts)
 
 
-def beginning(state: State) -> Place:
-    """Return the place of a state before `init` or at a round's start."""
-    return Place(state, state, state, frozenset(), ())
+def beginning(state: State) -> RunPosition:
+    """Return the position of a state before `init` or at a round's start."""
+    return RunPosition(state, state, state, frozenset(), ())
 
 
 def attack(
     program: decl.Program, proved: Collection[str], robots: int | None = None,
-    params: Mapping[str, ir.Expr] | None = None, solver: Solver | Both | None = None, seconds: float = SECONDS,
+    params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
-) -> Report:  # fmt: skip
-    """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
-    those of computing, the solver's included; with another clock, that counts work, waiting for the solver takes none.
-    `params` are fixed, all others may have any value; `solver` tells pre-states, where there is one."""
+) -> AttackReport:  # fmt: skip
+    """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`.
+
+    The default clock is CPU time, to which the time of the solver is added; with another clock, which counts work,
+    waiting for the solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides
+    pre-states."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
     if not proved:
         return _none("nothing is PROVED")
-    search = _Search(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
+    search = _AttackSearch(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
     found = search.run()
     reasons = {("", ""): f"the budget of {1000 * seconds:g} ms was used up before"} if search.spent else {}
     reasons.update(search.judge.reasons)
-    return Report(dict(search.judge.counts), reasons, found, search.clock() - began)
+    return AttackReport(dict(search.judge.counts), reasons, found, search.clock() - began)
 
 
-def _none(why: str) -> Report:
-    return Report({}, {("", ""): why}, None, 0.0)
+def _none(why: str) -> AttackReport:
+    return AttackReport({}, {("", ""): why}, None, 0.0)
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """Return the program made exact, and whether some first values are GridMaps. Those are computed as robots do, with
-    the params that the program has, because a GridMap has no exact form."""
+    """Return the program made exact, and whether some initial values are GridMaps.
+
+    Those are computed as robots do, with the params of the program, because a GridMap has no exact form."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
@@ -162,10 +169,10 @@ def _is_map(node: Node) -> bool:
     return isinstance(node, ir.Builtin) and node.name == "GridMap"
 
 
-class _Search:
+class _AttackSearch:
     def __init__(
         self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
-        solver: Solver | Both | None, until: float, clock: Clock, seed: int,
+        solver: Solver | CrossCheck | None, until: float, clock: Clock, seed: int,
     ) -> None:  # fmt: skip
         given = tuple([replace(p, default=params[p.name]) if p.name in params else p for p in program.params])
         kept = tuple([p for p in program.properties if p.kind != "invariant" or p.name in proved])
@@ -175,20 +182,20 @@ class _Search:
         free = [] if rounded else [p.name for p in program.params if p.name not in params]
         self.states = States(self.exact, free, self.random)
         self.proved = proved
-        self.judge = Judge(self.exact, proved, self.states.answers)
+        self.judge = TrialJudge(self.exact, proved, self.states.answers)
         self.fleets = FLEETS if robots is None else (robots,)
         self.params, self.solver, self.until = params, solver, until
         self.computing, self.timed = clock, clock is time.process_time
-        self.waited = 0.0  # seconds for the solver
-        self.ready: list[Place] = []  # after `init`
-        self.known: list[State] = []  # at a round's start
+        self.waited = 0.0  # seconds spent waiting for the solver
+        self.ready: list[RunPosition] = []  # positions after `init`
+        self.known: list[State] = []  # states at a round's start
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
-        self.runs: dict[str, int] = {}  # of each event
-        self.tried: dict[str, int] = {}  # of each step: the runs that models were expected to bring
+        self.runs: dict[str, int] = {}  # event -> number of its runs
+        self.tried: dict[str, int] = {}  # step -> number of runs that models were expected to bring
         self.spent = False
         self.units = 0
-        self.news = 0, 0  # the judged states, and at which unit the last new one was
+        self.news = 0, 0  # number of judged states, and the unit of work of the last new one
 
     def clock(self) -> float:
         return self.computing() + self.waited
@@ -201,27 +208,29 @@ class _Search:
                     if self.clock() > began + FIRST * (self.until - began):
                         break
                 self.alternate()
-        except Spent:
+        except BudgetSpent:
             pass
         except OutOfTime:
             self.spent = True
-        except Found as found:
+        except ContradictionFound as found:
             return self.confirmed(found.contradiction)
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """Run a contradiction again from its beginning, by another judge. Raises InternalError where it is none."""
-        why = "it is none the second time"
+        """Run a contradiction again from its beginning, by another judge.
+
+        Raises InternalError if it does not recur."""
+        why = "the second run shows no contradiction"
         try:
-            again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
+            again = TrialJudge(self.exact, self.proved, self.states.answers).replay(found.trial).contradiction
             if again is not None:
                 return again
-        except (Refused, Unusable) as error:
+        except (TrialNotCovered, UnusableStep) as error:
             why = str(error)
-        raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
+        raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
 
     def alternate(self) -> None:
-        """Run all sources, each for the same time, until the budget is used up."""
+        """Run all sources for the same time each, until the budget is used up."""
         sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
@@ -236,19 +245,22 @@ class _Search:
             self.unit()
 
     def unit(self) -> None:
-        """Count one piece of work. Raises Spent when the budget is used up, or the last STALE pieces found no state."""
+        """Count one unit of work.
+
+        Raises BudgetSpent if the budget is used up, or the last STALE units found no new state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
         self.spent = self.clock() > self.until
         if self.spent or self.units - self.news[1] > STALE:
-            raise Spent
+            raise BudgetSpent
 
     # Initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment; then
-        some rounds."""
+        """Run the first states of each number of robots.
+
+        For each of them: `init`, one event of each robot, one step of the environment; then some rounds."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 place = self.launch(robots)
@@ -256,9 +268,9 @@ class _Search:
                     yield from self.once(place)
                     yield from self.walk(place)
 
-    def launch(self, robots: int) -> Place | None:
-        """Return a place after every robot's init; None where no initial state was found."""
-        why = "no state was found that satisfies what holds `initially`"
+    def launch(self, robots: int) -> RunPosition | None:
+        """Return a position after every robot's init; None if no initial state was found."""
+        why = "no state was found that satisfies `initially`"
         for _ in range(TRIES):
             self.unit()
             attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
@@ -267,7 +279,7 @@ class _Search:
                 if state is None or not self.fresh(state):
                     continue
                 after, act, breach = self.judge.init(state)
-            except (Unusable, NotExact, Discarded) as error:
+            except (UnusableStep, NotExact, Discarded) as error:
                 why = str(error)
                 continue
             place = self.check(beginning(state), act, after, breach)
@@ -277,8 +289,8 @@ class _Search:
         self.judge.reasons.setdefault((INIT, ""), why)
         return None
 
-    def once(self, place: Place) -> Iterator[None]:
-        """Every event that one robot alone may run in a state, each followed by the environment's step."""
+    def once(self, place: RunPosition) -> Iterator[None]:
+        """Run every event that one robot alone may run in a state, each followed by the environment's step."""
         self.settle(place)
         for step in self.steps(place):
             yield
@@ -287,7 +299,7 @@ class _Search:
     # Walks
 
     def walks(self) -> Iterator[None]:
-        """Random walks, out of initial states, new ones among them."""
+        """Random walks from initial states, known and new ones."""
         for robots in cycle(self.fleets):
             place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
             yield
@@ -295,7 +307,7 @@ class _Search:
                 return
             yield from self.walk(self.random.choice(self.ready) if place is None else place)
 
-    def walk(self, place: Place) -> Iterator[None]:
+    def walk(self, place: RunPosition) -> Iterator[None]:
         for _ in range(ROUNDS):
             robots = len(place.now.robots)
             for pid in self.random.sample(range(robots), robots):
@@ -308,8 +320,8 @@ class _Search:
             place = moved
             self.known.append(place.now)
 
-    def turn(self, place: Place, pid: int) -> Place:
-        """Run one event of a robot, one that was run seldom; return the same place where the robot has none."""
+    def turn(self, place: RunPosition, pid: int) -> RunPosition:
+        """Run one of a robot's least run events. Return the same position if it has none."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -317,10 +329,10 @@ class _Search:
                 return step
         return place
 
-    # States beside known ones
+    # Variations of known states
 
     def varied(self) -> Iterator[None]:
-        """Rounds from states that differ from known ones, and in which the PROVED invariants hold."""
+        """Rounds from states that differ from known ones and satisfy the PROVED invariants."""
         while self.known and self.states.variables:
             state = self.states.varied(self.random.choice(self.known))
             self.unit()
@@ -330,7 +342,7 @@ class _Search:
     # Models
 
     def modelled(self) -> Iterator[None]:
-        """Rounds from states of the solver's models, of each event in turn."""
+        """Rounds from states of the solver's models, for each event in turn."""
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -353,12 +365,13 @@ class _Search:
                 yield
 
     def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
-        """One round from a state in which the PROVED invariants hold, in every order, and the environment's step after
-        each: at most so many steps."""
+        """Run one round in every order from a state that satisfies the PROVED invariants.
+
+        The environment's step follows each event. At most `most` steps are run."""
         try:
-            if self.judge.relied_upon(state) or not self.fresh(state):
+            if self.judge.violated_hypothesis(state) or not self.fresh(state):
                 return
-        except Unusable as error:
+        except UnusableStep as error:
             if wanted:
                 self.judge.reasons.setdefault((wanted, ""), str(error))
             return
@@ -375,8 +388,8 @@ class _Search:
 
     # Steps
 
-    def steps(self, place: Place) -> Iterator[Place]:
-        """Every event of every robot that had no turn yet."""
+    def steps(self, place: RunPosition) -> Iterator[RunPosition]:
+        """Run every event of every robot that had no turn yet."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
                 for event in self.options(place, pid):
@@ -384,33 +397,35 @@ class _Search:
                     if step is not None:
                         yield step
 
-    def options(self, place: Place, pid: int) -> list[decl.Event]:
+    def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
         """Return the events that a robot may run."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
-        except Unusable:
+        except UnusableStep:
             return []
         if ready.fault is not None:
             act, breach = ready.fault
             self.check(place, act, place.now, breach)
         return ready.events
 
-    def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
-        """Return the place after a robot's event; None where the event has no result. Raises Spent, Found."""
+    def step(self, place: RunPosition, pid: int, event: decl.Event) -> RunPosition | None:
+        """Return the position after a robot's event; None if the event has no result. Raises BudgetSpent,
+        ContradictionFound."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
             found = self.judge.event(place.start, place.now, pid, event)
-        except Unusable:
+        except UnusableStep:
             return None
         if found is None:
             return None
         after, act, breach = found
         return self.check(place, act, after, breach)
 
-    def settle(self, place: Place) -> Place | None:
-        """Return the beginning of the next round, after the environment's step; None where no move was drawn that the
-        assumptions allow."""
+    def settle(self, place: RunPosition) -> RunPosition | None:
+        """Return the beginning of the next round, after the environment's step.
+
+        None if the assumptions allow none of the moves that were drawn."""
         self.unit()
         if not self.states.sensors:
             sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
@@ -426,19 +441,19 @@ class _Search:
                     return None
                 fleet.append(move)
             after, act, breach = self.judge.moved(place.now, tuple(fleet))
-        except (Unusable, NotExact):
+        except (UnusableStep, NotExact):
             return None
         return self.check(place, act, after, breach)
 
-    def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
-        """Return the place after a step. Raises Found where the step contradicts a verdict."""
+    def check(self, place: RunPosition, act: Act, after: State, breach: VerdictBreach | None) -> RunPosition:
+        """Return the position after a step. Raises ContradictionFound if the step contradicts a verdict."""
         step = place.then(act, after)
         if breach is not None:
-            raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
+            raise ContradictionFound(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
         return step
 
     def fresh(self, state: State) -> bool:
-        """Return whether a state was not attacked before."""
+        """Return whether a state is attacked for the first time."""
         key = key_of(state)
         if key in self.seen:
             return False

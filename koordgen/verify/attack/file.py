@@ -1,8 +1,10 @@
-"""File of a contradiction (`koord-unsound/1`): a trial as JSON, and back, with every byte of it checked.
+"""File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON.
+
+Everything in a file is checked.
 
 Exact numbers are texts ("1/3", "sqrt(2)"). A file may come from anywhere: it may be of another program, cut short or
-hostile. So the program's hash must agree, every name must be the program's, every value must have its variable's type,
-and sizes are limited. What the steps do is never read from the file: the semantics runs them again.
+hostile. So the program's hash must agree, every name must be in the program, every value must have its variable's
+type, and sizes are limited. Effects of steps are never read from the file: the semantics runs the steps again.
 """
 
 from __future__ import annotations
@@ -42,28 +44,28 @@ from koordgen.lang.semantics.values import RecordValue, Value, conforms, encodab
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
-from koordgen.verify.attack.ports import Answer
+from koordgen.verify.attack.ports import PortAnswer
 
 FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
 MOST_ROBOTS = 4
 MOST_ACTS = 64
-DIGITS = 1000  # of a number
+DIGITS = 1000  # most digits of a number
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
-_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; have it write the file anew"
+_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run it to write the file again"
 
 
 class BadFile(Exception):
-    """The file cannot be run: the message says why, `help` what can be done."""
+    """The file cannot be used; the message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = _ANEW) -> None:
         super().__init__(message)
         self.help = help
 
 
-class Given(NamedTuple):
-    """Content of a file: the invariants that were PROVED, the trial, the invariant that it contradicts."""
+class TrialFile(NamedTuple):
+    """Content of a file: the PROVED invariants, the trial, and the invariant that it contradicts."""
 
     proved: tuple[str, ...]
     trial: Trial
@@ -73,8 +75,8 @@ class Given(NamedTuple):
 # Writing
 
 
-def written(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
-    """A contradiction as the text of a file."""
+def to_text(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
+    """Return a contradiction as the text of a file."""
     state = found.trial.state
     document = {
         "format": FORMAT,
@@ -89,7 +91,7 @@ def written(found: Contradiction, proved: Iterable[str], program_hash: str, path
             "robots": [
                 {"locals": _values(r.locals), "ports": _values(r.ports), "stopped": r.stopped} for r in state.robots
             ],
-            "slots": {name: [plain(v) for v in values] for name, values in state.store.slots.items()},
+            "slots": {name: [to_json(v) for v in values] for name, values in state.store.slots.items()},
             "cells": _values(state.store.cells),
         },
         "steps": [_step(act) for act in found.trial.acts],
@@ -101,18 +103,18 @@ def _step(act: Act) -> dict[str, Any]:
     if act.event == ENVIRONMENT:
         return {"event": act.event, "sensors": [_values(new) for new in act.sensors]}
     answers = [
-        {"robot": pid, "port": port, "arguments": [plain(arg) for arg in args], "answer": plain(answer)}
+        {"robot": pid, "port": port, "arguments": [to_json(arg) for arg in args], "answer": to_json(answer)}
         for pid, (port, args, answer) in act.answers
     ]
     return {"event": act.event, "robot": act.pid, "answers": answers}
 
 
 def _values(values: Mapping[str, Value]) -> dict[str, Any]:
-    return {name: plain(value) for name, value in values.items()}
+    return {name: to_json(value) for name, value in values.items()}
 
 
-def plain(value: Any) -> Any:
-    """A value as the file has it."""
+def to_json(value: Any) -> Any:
+    """Return a value as JSON."""
     match value:
         case bool() | int() | str():
             return value
@@ -125,11 +127,11 @@ def plain(value: Any) -> Any:
         case bytes():
             return b64encode(value).decode()
         case RecordValue(_, fields):
-            return [plain(part) for part in fields]
+            return [to_json(part) for part in fields]
         case tuple():
-            return [plain(part) for part in value]
+            return [to_json(part) for part in value]
         case Point() | Pose() | Grid() | Scan() | GridMap() | Opaque():
-            return [plain(getattr(value, name)) for name in value.__struct_fields__]
+            return [to_json(getattr(value, name)) for name in value.__struct_fields__]
         case _:
             raise AssertionError(f"{value!r} is no value of the language")
 
@@ -137,29 +139,29 @@ def plain(value: Any) -> Any:
 # Reading
 
 
-def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
+def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
     """Return the content of a file about a program, made exact. Raises BadFile."""
     if len(data) > MOST_BYTES:
-        raise BadFile(f"it has {len(data)} bytes, and at most {MOST_BYTES} are read")
+        raise BadFile(f"it has {len(data)} bytes; the limit is {MOST_BYTES}")
     try:
         document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
     except RecursionError:
         raise BadFile("its JSON is nested too deeply") from None
     except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are such
         raise BadFile(f"it is not JSON, or was cut short: {error}") from None
-    file = _Reader(program)
+    file = _TrialReader(program)
     top = file.table(document, "the file", _TOP)
     if top["format"] != FORMAT:
         raise BadFile(f"its format is not {FORMAT}")
     if top["program"] != program_hash:
         raise BadFile(
-            "it was written for another program, or for another state of this one",
+            "it was written for another program, or for another version of this one",
             "name the very program that it was written for: each change of a program changes its hash",
         )
     proved = file.names(top["proved"], "proved")
     invariant = file.name(top["invariant"], "invariant", proved)
     try:
-        return Given(proved, file.trial(top), invariant)
+        return TrialFile(proved, file.trial(top), invariant)
     except RecursionError:
         raise BadFile("a value in it is nested too deeply") from None
 
@@ -174,12 +176,12 @@ def _no_constant(name: str) -> Any:
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a name stands twice in one object")
+        raise ValueError("a name occurs twice in one object")
     return found
 
 
-class _Reader:
-    """The parts of a file, each checked against the program."""
+class _TrialReader:
+    """Parser of the parts of a file, which checks each against the program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -193,9 +195,9 @@ class _Reader:
             self.called.update({f"{n.module}.{n.port}": n for n in walk(function.block) if isinstance(n, PortCall)})
 
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
-        """An object with exactly these keys."""
+        """Return an object that has exactly these keys."""
         if not isinstance(data, dict):
-            raise BadFile(f"{what} is no object")
+            raise BadFile(f"{what} is not an object")
         wanted = set(keys)
         wrong = sorted(wanted ^ data.keys())
         if wrong:
@@ -208,13 +210,13 @@ class _Reader:
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Names of invariants, and of those at loops."""
+        """Return names of invariants, including loop invariants."""
         known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 
     def name(self, data: Any, what: str, known: Iterable[str]) -> str:
         if not isinstance(data, str) or data not in known:
-            raise BadFile(f"{what}: {_short(data)} is no name that can stand there")
+            raise BadFile(f"{what}: {_short(data)} is none of the possible names")
         return data
 
     def whole(self, data: Any, what: str, most: int) -> int:
@@ -257,19 +259,19 @@ class _Reader:
             return Act(event, None, tuple([self.values(new, "sensors", self.sensors) for new in moved]))
         table = self.table(data, "a step", ("event", "robot", "answers"))
         if event == INIT and table["robot"] is not None:
-            raise BadFile("`init` is every robot's: its `robot` is null")
+            raise BadFile("`init` belongs to every robot: its `robot` must be null")
         pid = None if event == INIT else self.whole(table["robot"], "a step's robot", robots - 1)
         answers = self.items(table["answers"], "answers", 0, 1000)
         return Act(event, pid, (), tuple([self.answer(one, robots) for one in answers]))
 
-    def answer(self, data: Any, robots: int) -> Answer:
+    def answer(self, data: Any, robots: int) -> PortAnswer:
         table = self.table(data, "an answer", ("robot", "port", "arguments", "answer"))
         port = self.name(table["port"], "an answer's port", self.called)
         types = [arg.type for arg in self.called[port].args]
         given = self.items(table["arguments"], "arguments", len(types), len(types))
         args = tuple([self.value(one, type_, port) for one, type_ in zip(given, types, strict=True)])
         answer = self.value(table["answer"], self.called[port].type, port)
-        return Answer(self.whole(table["robot"], "an answer's robot", robots - 1), Asked(port, args, answer))
+        return PortAnswer(self.whole(table["robot"], "an answer's robot", robots - 1), Asked(port, args, answer))
 
     def values(self, data: Any, what: str, types: Mapping[str, Type]) -> dict[str, Value]:
         table = self.table(data, what, types)
@@ -286,7 +288,7 @@ class _Reader:
 
 
 def _value(data: Any, type_: Type) -> Any:
-    """The value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
+    """Return the value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return tuple([_value(part, element) for part in _list(data)])
@@ -341,7 +343,7 @@ def _whole(data: Any) -> int:
 
 
 def _number(data: Any) -> Any:
-    """An exact number of its text."""
+    """Return the exact number that a text denotes."""
     if not isinstance(data, str) or len(data) > 2 * DIGITS + 20:
         raise TypeError
     if data in ("inf", "-inf", "nan"):
@@ -359,5 +361,5 @@ def _float(data: Any) -> float:
 
 def _short(data: Any) -> str:
     """Return data of the file for a message, cut short."""
-    text = json.dumps(data)  # control characters and what is no Unicode are escaped
+    text = json.dumps(data)  # escapes control characters and lone surrogates
     return text if len(text) <= 60 else f"{text[:57]}..."

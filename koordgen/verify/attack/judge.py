@@ -1,8 +1,8 @@
-"""Judge of verdicts: runs steps by the executable semantics, and says which PROVED invariant a state contradicts.
+"""Judge of verdicts: runs steps by the semantics, and finds PROVED invariants that they contradict.
 
-What the language allows is asked of `koordgen.lang.semantics` alone: which events may run (`choices`), what they write,
-how sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
-contradiction; it is not counted as a state that the invariant was attacked with.
+`koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, how
+sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
+contradiction, and does not count as a state with which the invariant was attacked.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, run_init, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Span
-from koordgen.verify.attack.ports import TURNS, Answer, Draw, Ports
-from koordgen.verify.prove.report.model import allowed
-from koordgen.verify.prove.report.reading import Unshowable
+from koordgen.verify.attack.ports import TURNS, AttackPorts, Draw, PortAnswer
+from koordgen.verify.prove.report.model import is_allowed
+from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
-PROVED_RIGHT = "proved to have a value, but: "  # the compiler's own claim, in the semantics' words
-# The operations of which `(well-defined)` says that they have a value, in the semantics' words. Capacities, 64 bits,
-# turns of loops, `ensures` and ports discard an event as well, and are not promised.
+PROVED_RIGHT = "proved to have a value, but: "  # prefix of a fault of an operation that the checker proved right
+# Faults of operations for which `(well-defined)` promises a value, as the semantics words them. Capacities, 64 bits,
+# turns of loops, `ensures` and ports discard events as well, but are not promised.
 COVERED = (
     "index ", "a slice from", "what is looked for is not there", "the map has no such key",
     "math domain error", "an int to the power of a negative one",
@@ -48,64 +48,71 @@ FALLIBLE = frozenset(
 
 
 class Act(NamedTuple):
-    """One step of a trial: an event of robot `pid`; INIT of all robots; ENVIRONMENT with all robots' new sensors."""
+    """One step of a trial.
+
+    `event`: an event of robot `pid`; or INIT, of all robots; or ENVIRONMENT, with the new sensor values of all
+    robots."""
 
     event: str
     pid: int | None = None
     sensors: tuple[Mapping[str, Value], ...] = ()
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[PortAnswer, ...] = ()
 
 
 class Trial(NamedTuple):
-    """A state at a round's start, or before `init`, and the steps that are run on it: in a round each robot runs one
-    event at most, and the environment's step ends the round."""
+    """A state at a round's start, or before `init`, and the steps to run on it.
+
+    In a round each robot runs at most one event, and the environment's step ends the round."""
 
     state: State
     acts: tuple[Act, ...]
 
 
-class Breach(NamedTuple):
-    """The invariant that is contradicted, and how."""
+class VerdictBreach(NamedTuple):
+    """Contradiction of one invariant, with its reason."""
 
     invariant: str
     why: str
 
 
 class Contradiction(NamedTuple):
-    """A trial whose last step contradicts a PROVED invariant; the states around that step."""
+    """A trial whose last step contradicts a PROVED invariant, and the states around that step."""
 
     trial: Trial
-    breach: Breach
+    breach: VerdictBreach
     before: State
     after: State
 
 
-class Ready(NamedTuple):
-    """The events that a robot may run; the step of one whose guard has no value where one is promised."""
+class ReadyEvents(NamedTuple):
+    """Events that a robot may run. `fault`: the step of one whose guard lacks a value that is promised."""
 
     events: list[decl.Event]
-    fault: tuple[Act, Breach] | None
+    fault: tuple[Act, VerdictBreach] | None
 
 
-class Followed(NamedTuple):
-    """The states of a trial, before its first step and after each; the contradiction of its last step, if it is one."""
+class ReplayedTrial(NamedTuple):
+    """Replayed trial: its states, and the contradiction in its last step, if there is one.
+
+    `states`: the state before the first step, and the state after each step."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
 
 
-class Unusable(Exception):
-    """A step shows nothing: the message says why."""
+class UnusableStep(Exception):
+    """A step shows nothing; the message gives the reason."""
 
 
-class Refused(Exception):
-    """A trial is none that the verdicts speak of: the message says why."""
+class TrialNotCovered(Exception):
+    """The verdicts do not cover this trial; the message gives the reason."""
 
 
-class Judge:
-    """Judge of one program, made exact. `proved`: the names of the invariants that are PROVED. `draw` proposes answers
-    of callable ports. `counts` has the number of states that each invariant was judged in, by step and invariant;
-    `reasons` says why it could not be judged."""
+class TrialJudge:
+    """Judge of one program, made exact.
+
+    `proved`: names of the PROVED invariants. `draw` proposes answers of callable ports. `counts`: number of states in
+    which each invariant was judged, by step and invariant; `reasons`: why it could not be judged."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -114,7 +121,7 @@ class Judge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
-        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # of each step: loop invariants, after whose they are
+        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # step -> owner and name of its loop invariants
         for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
             self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
@@ -122,16 +129,17 @@ class Judge:
         for function in program.functions:
             functions |= {function.name} if _is_fallible(function.block, functions) else set()
         self.fallible = {event.name for event in program.events if _is_fallible(event.guard, functions)}
-        self.ports = Ports(program, draw)
+        self.ports = AttackPorts(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
-        self.known: set[tuple[object, ...]] = set()  # the states after steps, and before events, that were judged
+        self.known: set[tuple[object, ...]] = set()  # states after steps, and before events, that were judged
 
-    # What is promised of a state
+    # Claims about a state
 
-    def judged(self, state: State, event: str) -> Breach | None:
-        """Return the first PROVED invariant that is contradicted after `event`. Each state is judged once after each
-        event."""
+    def judged(self, state: State, event: str) -> VerdictBreach | None:
+        """Return the first PROVED invariant that is contradicted after `event`.
+
+        Each state is judged once after each event."""
         if not self._new(event, key_of(state)):
             return None
         for property_ in self.invariants:
@@ -140,17 +148,17 @@ class Judge:
                 return breach
         return None
 
-    def _judged(self, property_: decl.Property, state: State, event: str) -> Breach | None:
+    def _judged(self, property_: decl.Property, state: State, event: str) -> VerdictBreach | None:
         key = event, property_.name
         self.ports.lacking = ""
         try:
             if not holds_property(property_, self.program, state, self.ports.world):
-                return Breach(property_.name, "it is false")
+                return VerdictBreach(property_.name, "it is false")
         except Discarded as fault:
             if self.ports.lacking or not is_covered(fault.reason):
                 self.reasons[key] = self.ports.lacking or fault.reason
                 return None
-            return Breach(property_.name, f"it has no value: {fault}")
+            return VerdictBreach(property_.name, f"it has no value: {fault}")
         except (NotExact, NoMeaning, InternalError) as error:
             self.reasons[key] = str(error)
             return None
@@ -163,15 +171,17 @@ class Judge:
         return len(self.known) > before
 
     def is_start(self, state: State) -> bool:
-        """Return whether a state is one in which a mission may begin. Raises Unusable where that is not known."""
+        """Return whether a mission may begin in a state. Raises UnusableStep if that is unknown."""
         return all(self._true(property_, state) for property_ in self.initially)
 
-    def relied_upon(self, state: State) -> str:
-        """Return the name of a hypothesis that a state does not satisfy; empty where it satisfies all. Hypotheses are
-        the PROVED invariants, and what `initially` says of params, which holds for good. Raises Unusable."""
+    def violated_hypothesis(self, state: State) -> str:
+        """Return the name of a hypothesis that a state violates; empty if it satisfies all.
+
+        Hypotheses are the PROVED invariants, and formulas of `initially` about params, which hold for good. Raises
+        UnusableStep."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
-                return f"what `initially` says of params in line {part.span.line}"
+                return f"the formula of `initially` about params in line {part.span.line}"
         return next((p.name for p in self.invariants if not self._true(p, state)), "")
 
     def _true(self, property_: decl.Property, state: State) -> bool:
@@ -181,16 +191,18 @@ class Judge:
         except Discarded:
             held = False
         except (NotExact, NoMeaning, InternalError) as error:
-            raise Unusable(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
+            raise UnusableStep(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
         if self.ports.lacking:
-            raise Unusable(self.ports.lacking)
+            raise UnusableStep(self.ports.lacking)
         return held
 
     # Steps
 
-    def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
-        """Run every robot's init. A robot whose `init` is discarded rests, and its mission does not begin: nothing is
-        promised then but that `(well-defined)` excludes it. Raises Unusable."""
+    def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
+        """Run every robot's init.
+
+        If an `init` is discarded, its robot stops and the mission does not begin. Then only `(well-defined)` makes a
+        promise, which excludes that. Raises UnusableStep."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -215,19 +227,21 @@ class Judge:
         broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
         return after, self._act(INIT), broken or self.judged(after, INIT)
 
-    def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
-        """Return what robot `pid` may do in a round that began with `start`. Raises Unusable."""
+    def ready(self, start: State, now: State, pid: int, given: Iterable[PortAnswer] | None = None) -> ReadyEvents:
+        """Return what robot `pid` may do in a round that began with `start`. Raises UnusableStep."""
         self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
             found = [self.events[step.event] for step in steps if step.event is not None]
             stopped = now.robots[pid].stopped or not self.defined
-            return Ready(found, None if stopped else self._guard_fault(start, now, pid, found))
+            return ReadyEvents(found, None if stopped else self._guard_fault(start, now, pid, found))
         except (NotExact, NoMeaning, InternalError) as error:
-            raise Unusable(f"the guards cannot be evaluated: {error}") from None
+            raise UnusableStep(f"the guards cannot be evaluated: {error}") from None
 
-    def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
-        """Return the step of an event whose guard has no value, where one is promised."""
+    def _guard_fault(
+        self, start: State, now: State, pid: int, found: list[decl.Event]
+    ) -> tuple[Act, VerdictBreach] | None:
+        """Return the step of an event whose guard lacks a value that is promised."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
                 continue
@@ -241,16 +255,16 @@ class Judge:
         return None
 
     def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
-        """Return whether a robot may run an event if its guard holds: none that goes before it keeps it from that."""
+        """Return whether a robot may run an event if its guard holds: no event before it prevents that."""
         events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
 
     def event(
-        self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[Answer] | None = None
-    ) -> tuple[State, Act, Breach | None] | None:
-        """Run an event of robot `pid` that `ready` found; None where it is discarded. Raises Unusable."""
-        self.ports.begin(now, given)  # since `ready`, other states may have been looked at
+        self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[PortAnswer] | None = None
+    ) -> tuple[State, Act, VerdictBreach | None] | None:
+        """Run an event of robot `pid` that `ready` found; None if it is discarded. Raises UnusableStep."""
+        self.ports.begin(now, given)  # other states may have been used since `ready`
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -263,7 +277,7 @@ class Judge:
         if not isinstance(outcome, Writes):
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
-                given_up = outcome.reason == UNFINISHED  # by the attack's own limit, long before a robot's
+                given_up = outcome.reason == UNFINISHED  # by the attack's limit, which is far below a robot's
                 why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
                 self.reasons.setdefault((name, ""), f"each run of it was {why}")
             return (now, self._act(name, pid), breach) if breach else None
@@ -273,79 +287,81 @@ class Judge:
         after = applied(self.program, now, Step(pid, name, outcome))
         return after, self._act(name, pid), broken or self.judged(after, name)
 
-    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
-        """Return a PROVED loop invariant that did not hold when a step came to it."""
+    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> VerdictBreach | None:
+        """Return a PROVED loop invariant that was false when a step reached its head."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
             if name in violated:
-                return Breach(name, f"the loop invariant is false at its loop's head in {step}")
+                return VerdictBreach(name, f"the loop invariant is false at its loop's head in {step}")
             self.counts[owner, name] += new
         return None
 
-    def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
-        """Run the environment's step where the assumptions allow it. Raises Unusable."""
+    def environment(
+        self, now: State, sensors: tuple[Mapping[str, Value], ...]
+    ) -> tuple[State, Act, VerdictBreach | None]:
+        """Run the environment's step if the assumptions allow it. Raises UnusableStep."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
-                raise Unusable("the assumptions do not allow it")
+                raise UnusableStep("the assumptions do not allow it")
         return self.moved(now, sensors)
 
-    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
+    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, VerdictBreach | None]:
         """Run the environment's step, which the assumptions are known to allow."""
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
-        """Return whether the assumptions allow that a robot's ports become these. Raises Unusable."""
+        """Return whether the assumptions allow that a robot's ports become these. Raises UnusableStep."""
         try:
-            return allowed(self.program, now.robots[pid].ports, ports, pid, now)
+            return is_allowed(self.program, now.robots[pid].ports, ports, pid, now)
         except (Unshowable, NotExact, NoMeaning, InternalError) as error:
             raise self._unusable(ENVIRONMENT, str(error)) from None
 
     def _act(self, event: str, pid: int | None = None) -> Act:
         return Act(event, pid, (), self.ports.answers())
 
-    def _unusable(self, event: str, why: str) -> Unusable:
+    def _unusable(self, event: str, why: str) -> UnusableStep:
         self.reasons[event, ""] = why
-        return Unusable(why)
+        return UnusableStep(why)
 
-    def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
-        """Return a breach of `(well-defined)` where it promises that the operation has a value."""
+    def _fault(self, event: str, told: str, reason: str = "") -> VerdictBreach | None:
+        """Return a breach of `(well-defined)`, if it promises that the operation has a value."""
         where = "init" if event == INIT else f"event {event}"
         _, claimed, within = told.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
             if not reason:
                 raise self._unusable(event, told)
             return None
-        return Breach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
 
     # A whole trial
 
-    def follow(self, trial: Trial) -> Followed:
-        """Run a trial from its beginning, believing nothing of it. Raises Refused, Unusable."""
+    def replay(self, trial: Trial) -> ReplayedTrial:
+        """Run a trial from its beginning, and check all of it. Raises TrialNotCovered, UnusableStep."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
-                raise Refused("what the program says in `initially` does not hold in its state")
-        elif broken := self.relied_upon(state):
-            raise Refused(f"{broken} does not hold in its state, before any step")
+                raise TrialNotCovered("its first state violates a formula of `initially`")
+        elif broken := self.violated_hypothesis(state):
+            raise TrialNotCovered(f"its first state violates {broken}")
         states, start = [state], state
-        turns: set[int] = set()  # the robots that had theirs in this round
-        breach: Breach | None = None
+        turns: set[int] = set()  # robots that had their turn in this round
+        breach: VerdictBreach | None = None
         for act in acts:
             if breach is not None:
-                raise Refused("it goes on after a step that contradicts a verdict")
+                raise TrialNotCovered("it goes on after a step that contradicts a verdict")
             if act.pid in turns:
-                raise Refused(f"robot {act.pid} runs two events in one round")
-            now, breach = self._followed(start, states[-1], act)
+                raise TrialNotCovered(f"robot {act.pid} runs two events in one round")
+            now, breach = self._replayed(start, states[-1], act)
             states.append(now)
             start, turns = (now, set()) if act.pid is None else (start, turns | {act.pid})
-        return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
+        return ReplayedTrial(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
-    def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
+    def _replayed(self, start: State, now: State, act: Act) -> tuple[State, VerdictBreach | None]:
         """Run one step of a trial, in a round that began with `start`."""
         if (act.event == INIT) != (now.round == 0):
-            raise Refused("`init` comes first, and once")
+            raise TrialNotCovered("`init` must be the first step, and occur once")
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach
@@ -358,11 +374,11 @@ class Judge:
             if event.name == act.event:
                 step = self.event(start, now, act.pid, event, act.answers)
                 if step is None:
-                    raise Refused(f"event {act.event} of robot {act.pid} is discarded")
+                    raise TrialNotCovered(f"event {act.event} of robot {act.pid} is discarded")
                 return step[0], step[2]
         if ready.fault is not None and ready.fault[0].event == act.event:
             return now, ready.fault[1]
-        raise Refused(f"robot {act.pid} may not run {act.event} there")
+        raise TrialNotCovered(f"robot {act.pid} may not run {act.event} at its step")
 
 
 def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
@@ -374,13 +390,13 @@ def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _of_fleet(formula: ir.Expr) -> bool:
-    """Return whether a formula speaks of anything but params."""
+    """Return whether a formula mentions anything but params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                for n in walk(formula))  # fmt: skip
 
 
 def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[str, str]]:
-    """The loop invariants of a block and of the functions that it calls: whose block each is in, its name."""
+    """Yield owner and name of the loop invariants of a block, and of the functions that it calls."""
     functions = {function.name: function for function in program.functions}
     called: dict[str, Part] = {owner: block}
     for _ in functions:
@@ -391,15 +407,15 @@ def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[
 
 
 def names_of(program: decl.Program) -> list[str]:
-    """Return the names that verdicts of a program have."""
+    """Return the names of a program's verdicts."""
     blocks = (program.init, program.events, program.functions)
     loops = [f"line {n.span.line}" for n in walk(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
 def _is_fallible(part: Part, functions: Collection[str]) -> bool:
-    """Return whether an operation that `(well-defined)` promises stands in a part of a program, or in one of the
-    functions that it calls."""
+    """Return whether a part of a program, or a function that it calls, contains an operation for which
+    `(well-defined)` promises a value."""
     for node in walk(part):
         match node:
             case ir.SlotRead(_, index):
@@ -418,17 +434,17 @@ def _is_fallible(part: Part, functions: Collection[str]) -> bool:
 
 
 def is_covered(reason: str) -> bool:
-    """Return whether an operation without a value is one of those that `(well-defined)` promises."""
+    """Return whether a fault is one that `(well-defined)` excludes."""
     return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
 
 
 def _seen(event: decl.Event, start: State, now: State) -> State:
-    """The state that an event reads: a plain one the store of the round's start."""
+    """Return the state that an event reads: a plain event reads the store of the round's start."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 
 def key_of(state: State) -> tuple[object, ...]:
-    """Return a key that differs for different states, rounds aside."""
+    """Return a key that differs for different states, without the number of the round."""
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)

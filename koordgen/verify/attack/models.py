@@ -1,7 +1,7 @@
-"""Pre-states from the solver: states in which the PROVED invariants hold and a guard does, each unlike the last.
+"""Pre-states from the solver: different states in which the PROVED invariants and a guard hold.
 
-Only what is assumed before a step is encoded, nothing of what the step does: a mistake there must not exclude the very
-state that would show it. A model is not believed either: the judge checks each state before it is attacked.
+Only the assumptions before a step are encoded, never the step itself: a mistake in its encoding must not exclude the
+state that would reveal it. Models are not trusted either: the judge checks each state before it is attacked.
 """
 
 from __future__ import annotations
@@ -16,47 +16,50 @@ from koordgen.lang.node import replace
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exact import NotExact
 from koordgen.lang.semantics.state import State
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.scope import OfFleet
-from koordgen.verify.prove.encode.state import Free
+from koordgen.verify.prove.encode.context import ProofContext
+from koordgen.verify.prove.encode.scope import FleetScope
+from koordgen.verify.prove.encode.state import ArbitraryState
 from koordgen.verify.prove.encode.values import Val
-from koordgen.verify.prove.obligations.moment import Setting, Stage
-from koordgen.verify.prove.report.model import Reading
-from koordgen.verify.prove.report.reading import Reader, Unshowable
+from koordgen.verify.prove.obligations.part_encoder import PartEncoder, ProofProblem
+from koordgen.verify.prove.report.model import ModelStates
+from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.solve import Both, Solver, SolverMissing
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
 from koordgen.verify.prove.smt.term import Term
 
-QUERY = 2.0  # seconds of one query, at most
-NUDGES = 3  # parts of a state that are asked to be something else, at most
+QUERY = 2.0  # most seconds of one query
+NUDGES = 3  # most parts of a state that the next model must change
 NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
 class Models:
-    """Source of pre-states of one program whose invariants are all PROVED; `exact` is the same program made exact."""
+    """Source of pre-states of one program whose invariants are all PROVED.
+
+    `exact` is the same program made exact."""
 
     def __init__(
-        self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | Both,
+        self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | CrossCheck,
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        self.asked: dict[tuple[str, int], _Asked | None] = {}  # None: too large to be written down
+        self.asked: dict[tuple[str, int], _Hypotheses | None] = {}  # None: too large to encode
         self.why = ""
-        self.waited = 0.0  # seconds for the solver
+        self.waited = 0.0  # seconds spent waiting for the solver
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
-        """A state of so many robots in which the guard of `event` holds for one of them, found within `most` seconds;
-        None where there is none that can be read, and `why` says the reason."""
+        """Return a state in which the guard of `event` holds for a robot; None if none can be read.
+
+        The state has `robots` robots and is found within `most` seconds. Without a state, `why` gives the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             t.count_anew()
             try:
-                self.asked[key] = _Asked(self._hypotheses(event, robots))
-            except t.TooLarge as error:
+                self.asked[key] = _Hypotheses(self._hypotheses(event, robots))
+            except t.EncodingTooLarge as error:
                 self.asked[key] = None
-                self.why = f"what is assumed of a state cannot be written down: {error}"
+                self.why = f"the assumptions before the step cannot be encoded: {error}"
         asked = self.asked[key]
         if asked is None:
             return None
@@ -67,10 +70,12 @@ class Models:
         asked.useless = True
         return None
 
-    def _answered(self, asked: _Asked, more: tuple[Term, ...], robots: int, most: float) -> State | None:
+    def _answered(self, asked: _Hypotheses, more: tuple[Term, ...], robots: int, most: float) -> State | None:
         if asked.useless:
             return None
-        facts = tuple([Fact("a state unlike the last", term, "", 0) for term in (*asked.reader.short(), *more)])
+        facts = tuple(
+            [LabelledFormula("different from the last state", term, "", 0) for term in (*asked.reader.short(), *more)]
+        )
         query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
         try:
             answer = self.solver.ask(query, asked.reader.wanted(), most=most)
@@ -80,12 +85,12 @@ class Models:
                 self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
                 return None
             asked.reader.answered(answer.values)
-            return Reading(self.exact, asked.obligation, asked.reader, robots).state("before")
+            return ModelStates(self.exact, asked.obligation, asked.reader, robots).state("before")
         except (Unshowable, SolverMissing, NotExact, Discarded) as error:
             self.why = f"the solver's states cannot be run: {error}"
             return None
 
-    def _nudges(self, asked: _Asked) -> tuple[Term, ...]:
+    def _nudges(self, asked: _Hypotheses) -> tuple[Term, ...]:
         """Return conditions on some parts of a state, so that the next model differs from the last."""
         parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
         if not parts:
@@ -93,7 +98,7 @@ class Models:
         chosen = [self.random.choice(parts) for _ in range(self.random.randint(1, NUDGES))]
         return tuple([self._nudge(part, asked) for part in dict.fromkeys(chosen)])
 
-    def _nudge(self, part: Term, asked: _Asked) -> Term:
+    def _nudge(self, part: Term, asked: _Hypotheses) -> Term:
         if part.sort == t.BOOL:
             return part if self.random.random() < 0.5 else t.not_(part)
         number = self.random.choice(NUMBERS)
@@ -101,17 +106,17 @@ class Models:
         return wanted if self.random.random() < 0.7 else t.not_(wanted)
 
     def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
-        """Encode what is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
-        stage = Stage(Setting(self.program, robots, self.params, "usual"))
-        room, setting = stage.room, stage.setting
-        now = Free(room, setting.types)
+        """Encode the assumptions before a step: the invariants, and the guard of the acting robot."""
+        part_encoder = PartEncoder(ProofProblem(self.program, robots, self.params, "usual"))
+        context, problem = part_encoder.context, part_encoder.problem
+        now = ArbitraryState(context, problem.types)
         if event is not None:
-            scope = _Acting(now, room, room.acting("pid"))
-            with room.about(f"guard of {event.name}", event.guard.span.line):
-                room.fact(stage.encoder.term(event.guard, scope))
-        stage.holds(setting.invariants, now)
-        cells = tuple([cell for cell in stage.cells([("before", now)]) if _is_readable(cell.type)])
-        facts = stage.close()
+            scope = _Acting(now, context, context.acting("pid"))
+            with context.about(f"guard of {event.name}", event.guard.span.line):
+                context.fact(part_encoder.encoder.term(event.guard, scope))
+        part_encoder.holds(problem.invariants, now)
+        cells = tuple([cell for cell in part_encoder.cells([("before", now)]) if _is_readable(cell.type)])
+        facts = part_encoder.close()
         traits = 0
         for fact in facts:
             traits |= fact.term.traits
@@ -123,12 +128,14 @@ class Models:
         )  # fmt: skip
 
 
-class _Acting(OfFleet):
-    """Scope of a guard: the variables of one robot at a round's start. Callable ports answer anything."""
+class _Acting(FleetScope):
+    """Scope of a guard: the variables of one robot at a round's start.
 
-    def __init__(self, state: Free, room: Room, robot: Term) -> None:
+    Callable ports have arbitrary answers."""
+
+    def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
-        self.room, self.pid = room, robot
+        self.context, self.pid = context, robot
 
     def local(self, name: str) -> Val:
         return self.state.of(("local", name), self.pid)
@@ -137,11 +144,13 @@ class _Acting(OfFleet):
         return self.state.of(("port", name), self.pid)
 
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-        return self.room.any(f"{node.module}.{node.port}", node.type)
+        return self.context.any(f"{node.module}.{node.port}", node.type)
 
 
 def _is_readable(type_: Type) -> bool:
-    """Return whether a model tells which value of a type it is; other variables keep their first values."""
+    """Return whether a model determines values of a type.
+
+    Variables of other types keep their initial values."""
     match type_:
         case RecordType(_, fields):
             return all(_is_readable(field) for _, field in fields)
@@ -155,11 +164,11 @@ def _is_readable(type_: Type) -> bool:
             return not isinstance(type_, MapOf)
 
 
-class _Asked:
-    """Hypotheses, and how their models are read."""
+class _Hypotheses:
+    """Encoded hypotheses, and the reader of their models."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.obligation = obligation
-        self.reader = Reader(obligation)
+        self.reader = ModelReader(obligation)
         self.parts = list(dict.fromkeys([term for cell in obligation.cells for term in cell.terms]))
         self.useless = False

@@ -1,7 +1,7 @@
-"""Answers of callable ports and extern functions while a state is attacked.
+"""Answers of callable ports and extern functions during an attack.
 
-A callable port may answer anything that its module's assumptions allow, so answers are drawn and those that are not
-allowed are refused. What an extern function yields is not known here: a step that calls one shows nothing.
+A callable port may give any answer that its module's assumptions allow, so answers are drawn, and dropped if they are
+not allowed. The result of an extern function is unknown here: a step that calls one shows nothing.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from koordgen.lang.semantics.exec import NoMeaning
 from koordgen.lang.semantics.property import Asked
 from koordgen.lang.semantics.state import NOTHING, State, World
 from koordgen.lang.semantics.values import Value
-from koordgen.verify.prove.report.reading import Unshowable, answered
+from koordgen.verify.prove.report.model_reader import Unshowable, answered
 
-TURNS = 2_000  # of loops of one event: an event that turns more often is given up, and shows nothing
+TURNS = 2_000  # most turns of loops of one event; an event with more is given up, and shows nothing
 
 Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
 Question = tuple[int, str, tuple[Value, ...]]
 
 
-class Answer(NamedTuple):
-    """The answer of a callable port to robot `pid`."""
+class PortAnswer(NamedTuple):
+    """Answer of a callable port to robot `pid`."""
 
     pid: int
     asked: Asked
 
 
-class Ports:
-    """Callable ports and extern functions of one step after the other. The semantics calls `world`. `lacking` says why
-    the present step shows nothing, where a question has no known answer."""
+class AttackPorts:
+    """Callable ports and extern functions of one step after the other.
+
+    The semantics calls `world`. `lacking`: why the present step shows nothing, if a call has no known answer."""
 
     def __init__(self, program: decl.Program, draw: Draw) -> None:
         self.program, self.draw = program, draw
@@ -42,14 +43,14 @@ class Ports:
         self.asked: dict[Question, Value] = {}
         self.given: Mapping[Question, Value] | None = None
 
-    def begin(self, state: State, given: Iterable[Answer] | None = None) -> None:
-        """Prepare for a step from `state`. With `given` only those questions are answered."""
+    def begin(self, state: State, given: Iterable[PortAnswer] | None = None) -> None:
+        """Prepare for a step from `state`. If `given`, only these calls have answers."""
         self.state, self.lacking, self.asked = state, "", {}
         self.given = None if given is None else {(pid, a.port, a.args): a.answer for pid, a in given}
 
-    def answers(self) -> tuple[Answer, ...]:
-        """All answers since the step began."""
-        return tuple([Answer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
+    def answers(self) -> tuple[PortAnswer, ...]:
+        """Return all answers since the step began."""
+        return tuple([PortAnswer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
 
     def answer(self, pid: int, port: str, args: tuple[Value, ...]) -> Value:
         question = (pid, port, args)
@@ -67,7 +68,7 @@ class Ports:
             except (Unshowable, NotExact, NoMeaning):
                 continue
             return candidate
-        self.lacking = f"no answer of {port} is known that the assumptions allow"
+        self.lacking = f"no known answer of {port} is allowed by the assumptions"
         raise LookupError(self.lacking)
 
     def _known(self, pid: int, port: str, args: tuple[Value, ...]) -> Iterable[Value]:
@@ -76,7 +77,7 @@ class Ports:
 
     def _unknown(self, name: str) -> Callable[..., Value]:
         def call(*args: Value) -> Value:
-            self.lacking = f"what the extern function {name} yields is not known"
+            self.lacking = f"the result of the extern function {name} is unknown"
             raise LookupError(self.lacking)
 
         return call

@@ -1,7 +1,9 @@
-"""Concrete states to attack with: initial ones, moves of sensors, answers of planners. All are drawn, none is judged.
+"""Random concrete states for attacks: initial states, moves of sensors, answers of planners.
 
-Values come from where they are most telling: what the program's formulas and events compare with, the params, commands
-that were given, and a few beside them. The same seed draws the same states.
+They are not checked here.
+
+Values come from the most promising sources: constants in the program's formulas and events, the params, commands that
+were given, and numbers next to those. The same seed draws the same states.
 """
 
 from __future__ import annotations
@@ -24,14 +26,14 @@ from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import RecordValue, Value, default
 from koordgen.runtime.values.points import Point, Pose
-from koordgen.verify.prove.report.model import made_state, with_values
+from koordgen.verify.prove.report.model import exact_state, with_values
 from koordgen.verify.prove.report.reach import Pools
 
-VALUES = 16  # of one type that are drawn from
-VARIED = 3  # variables of a state that are changed together, at most
-DRAWS = 6  # of one robot's initial sensors, until they fit the robots before it
-ARRIVING = 0.4  # of the moves, where a robot comes to where it was sent
-MOVES = 5  # of one robot that are drawn in one step of the environment
+VALUES = 16  # size of the pool of one type
+VARIED = 3  # most variables of a state that are changed together
+DRAWS = 6  # attempts to draw one robot's initial sensors that fit the robots before it
+ARRIVING = 0.4  # probability of a move in which the robot reaches its goal
+MOVES = 5  # moves of one robot that are drawn in one step of the environment
 BASE = (BOOL, INT, FLOAT, POINT)
 
 
@@ -67,9 +69,10 @@ class States:
     # Before init
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """Draw a state before `init` that is `plausible`; None where none was found. Robots are drawn one after the
-        other, so that each fits those before it. The first attempt sets robots apart and has the params of the
-        program."""
+        """Draw a state before `init` that is `plausible`; None if none was found.
+
+        Robots are drawn one after the other, so that each fits those before it. The first attempt places robots apart
+        and uses the params of the program."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
@@ -90,9 +93,9 @@ class States:
         return state
 
     def _blank(self, values: Mapping[str, Value]) -> State:
-        """One robot before any `init`, with these params."""
+        """Return one robot before any `init`, with these params."""
         if values or self.usual is None:
-            found = made_state(initial(with_values(self.program, values), 1))
+            found = exact_state(initial(with_values(self.program, values), 1))
             if values:
                 return found
             self.usual = found
@@ -121,7 +124,7 @@ class States:
     # The environment's step
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
-        """Propose new sensor values of one robot: often those of its goal, at last the present ones."""
+        """Propose new sensor values of one robot: often those at its goal, the present ones last."""
         ports = now.robots[pid].ports
         goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
         if self.random.random() < ARRIVING:
@@ -144,10 +147,10 @@ class States:
             return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
         return self.value(type_, now)
 
-    # States beside a state
+    # Variations of a state
 
     def varied(self, state: State) -> State:
-        """Return a state that differs in a few variables, which have drawn values, or those of others."""
+        """Return a state that differs in a few variables, with drawn or copied values."""
         for _ in range(self.random.randint(1, VARIED)):
             kind, name, type_ = self.random.choice(self.variables)
             pids = range(len(state.robots))
@@ -166,7 +169,7 @@ class States:
     # Callable ports
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
-        """Propose answers of a planner in a drawn order: no way, the straight way, a detour, the goal alone."""
+        """Propose answers of a planner in random order: no path, the straight path, a detour, the goal alone."""
         module = port.partition(".")[0]
         position = next((state.robots[pid].ports[n] for n in self.positions if n.partition(".")[0] == module), None)
         goal = next((arg for arg in args if isinstance(arg, Point)), None)
@@ -180,7 +183,7 @@ class States:
     # Values
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """The values that are most telling of a type; none of one that has parts."""
+        """Return the pool of values of a type; empty for a type with parts."""
         if type_ not in BASE:
             return []
         key = type_, len(state.robots)
@@ -190,7 +193,7 @@ class States:
         return known[1]
 
     def value(self, type_: Type, state: State) -> Value:
-        """Some value of a type."""
+        """Draw a value of a type."""
         pool = self.pool(type_, state)
         if pool:
             return self.random.choice(pool)
@@ -214,14 +217,14 @@ class States:
 
 
 def _fleet(blank: State, robots: Sequence[Robot]) -> State:
-    """A state before `init` of these robots."""
+    """Return a state before `init` of these robots."""
     count = len(robots)
     slots = {name: values[:1] * count for name, values in blank.store.slots.items()}
     return blank._replace(robots=tuple(robots), store=Store(slots, blank.store.cells))
 
 
 def _of(state: State, kind: str, name: str, pid: int) -> Value:
-    """A variable's value, of robot `pid` where each has its own."""
+    """Return a variable's value; of robot `pid` if each robot has one."""
     if kind == "cell":
         return state.store.cells[name]
     if kind == "slot":
@@ -231,7 +234,7 @@ def _of(state: State, kind: str, name: str, pid: int) -> Value:
 
 
 def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
-    """The state in which a variable has another value."""
+    """Return the state with one variable changed."""
     store = state.store
     if kind == "cell":
         return state._replace(store=Store(store.slots, {**store.cells, name: value}))
@@ -248,18 +251,18 @@ def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
 
 
 def _goal(command: Value) -> list[Point]:
-    """Return the place to which a command sends its robot, if it is one of these."""
+    """Return the place to which a command sends its robot, if it is a Point or a path."""
     last = command[-1] if isinstance(command, tuple) and command else command
     return [last] if isinstance(last, Point) else []
 
 
 def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
-    """The numbers and Points that a program names, numbers beside them, and its texts."""
+    """Return the numbers and Points in a program, neighbouring numbers, and its texts."""
     numbers: dict[Any, None] = {}
     points: list[Value] = []
     texts: dict[str, None] = {}
     spoken = (program.params, program.functions, program.modules, program.events, program.properties)
-    for node in reversed(list(walk(spoken))):  # what the program says last comes first
+    for node in reversed(list(walk(spoken))):  # the end of the program first
         if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None

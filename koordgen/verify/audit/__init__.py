@@ -1,6 +1,6 @@
-"""Audit: traces of a whole fleet, judged after every round by the generated properties.
+"""Audit: the generated properties, evaluated over the traces of a whole fleet after every round.
 
-Owns: reading of several traces, clocks, verdicts, which assumption of a proof broke, pictures.
-Offers: `judge`, `finding`, `story`.
+Owns: trace files of several robots, their histories, clocks, results of properties, broken assumptions, pictures.
+Offers: `judge`, `result`, `history`.
 Must not import: explore, attack.
 """

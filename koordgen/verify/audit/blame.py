@@ -1,5 +1,6 @@
-"""Which assumption of a proof broke before an invariant did. No solver is asked: an invariant's obligations tell what a
-proof of it would take for granted."""
+"""Blame: assumptions of a proof that broke no later than the invariant.
+
+No solver is asked: the obligations of an invariant contain the assumptions that a proof of it would use."""
 
 from __future__ import annotations
 
@@ -7,27 +8,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from koordgen.lang.ir import decl
-from koordgen.verify.audit.finding import Finding
+from koordgen.verify.audit.result import PropertyResult
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.ledger import Entry, Ledger
+from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 
 _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "contract"}
 
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """Of an invariant that was violated: what its proof rests on; of that what broke at or before then, the first to
-    break first; and what was not seen throughout, so that it may have broken."""
+    """Assumptions behind a violated invariant.
 
-    invariant: Finding
-    rests: tuple[Entry, ...]
-    broke: tuple[tuple[Entry, Finding], ...]
-    unseen: tuple[Entry, ...]
+    `rests`: all assumptions of its proof. `broke`: those that broke no later than the invariant, the earliest first.
+    `unseen`: those that were not observed throughout, so may have broken."""
+
+    invariant: PropertyResult
+    rests: tuple[LedgerEntry, ...]
+    broke: tuple[tuple[LedgerEntry, PropertyResult], ...]
+    unseen: tuple[LedgerEntry, ...]
 
 
-def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
-    """One for each invariant that was violated, or had no value."""
-    violated = [f for f in findings if f.of == "invariant" and f.first is not None]
+def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Blame]:
+    """Return the blame of each invariant that was violated or had no value."""
+    violated = [f for f in results if f.of == "invariant" and f.first is not None]
     if not violated:
         return []
     shown = obligations(program, params={p.name: p.default for p in program.params})
@@ -35,22 +38,22 @@ def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
     found, ledger = [], Ledger(program)
     for invariant in violated:
         names = [invariant.name]
-        for name in names:  # and the invariants that its obligations use, and theirs
+        for name in names:  # grows by the invariants that the obligations use, and by theirs
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
         rests = ledger.of([o for o in shown if o.invariant in names])
-        found.append(_blame(invariant, rests, findings))
+        found.append(_blame(invariant, rests, results))
     return found
 
 
-def _blame(invariant: Finding, rests: tuple[Entry, ...], findings: Sequence[Finding]) -> Blame:
+def _blame(invariant: PropertyResult, rests: tuple[LedgerEntry, ...], results: Sequence[PropertyResult]) -> Blame:
     assert invariant.first is not None
     broke, unseen = [], []
     for entry in rests:
-        finding = next((f for f in findings if f.line == entry.line and f.of == _KINDS.get(entry.kind)), None)
-        if finding is not None and finding.first is not None and finding.first.moment <= invariant.first.moment:
-            broke.append((entry, finding))
-        elif entry.kind == "axiom" or (finding is not None and (finding.unknown or not finding.rounds)):
+        result = next((f for f in results if f.line == entry.line and f.of == _KINDS.get(entry.kind)), None)
+        if result is not None and result.first is not None and result.first.observation <= invariant.first.observation:
+            broke.append((entry, result))
+        elif entry.kind == "axiom" or (result is not None and (result.unknown or not result.rounds)):
             unseen.append(entry)
-    broke.sort(key=lambda each: each[1].first.moment if each[1].first is not None else invariant.first.moment)  # type: ignore[union-attr]
+    broke.sort(key=lambda each: each[1].first.observation if each[1].first is not None else invariant.first.observation)  # type: ignore[union-attr]
     return Blame(invariant, rests, tuple(broke), tuple(unseen))

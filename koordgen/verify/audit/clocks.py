@@ -1,20 +1,21 @@
-"""Whether robots kept the time that their rounds say."""
+"""Clock check: whether robots' clocks agree with the times of their rounds."""
 
 from __future__ import annotations
 
-from koordgen.verify.audit.story import Mission
+from koordgen.verify.audit.history import FleetMission
 
-SLACK = 0.05  # s a round may be off by, beyond what the clocks say of themselves
-DRIFT = 1e-3  # s a second: twice what two clocks may drift apart
+SLACK = 0.05  # s that a round may be off, beyond the bound that clocks state for themselves
+DRIFT = 1e-3  # s a second: twice the drift between two clocks
 
 
-def notes(mission: Mission) -> list[str]:
-    """Rounds are the fleet's time; a robot's own clock only tells when it decided them. Where the two do not go
-    together, that is said."""
+def notes(mission: FleetMission) -> list[str]:
+    """Return notes about robots whose clock and rounds differ.
+
+    Fleet time is counted in rounds; a robot's own clock only decides when its rounds begin."""
     found = []
     delta = mission.delta
-    for story in mission.stories:
-        for life in story.lives:
+    for history in mission.histories:
+        for life in history.lives:
             rounds = [line.record for line in life.lines if line.record["kind"] == "round"]
             if not rounds:
                 continue
@@ -30,11 +31,11 @@ def notes(mission: Mission) -> list[str]:
             off, when = max((abs(tick - origin) - DRIFT * delta * abs(r - first), r) for r, tick in ticks)
             if off > SLACK + 2 * bound:
                 found.append(
-                    f"{story.name}'s clock and its rounds are {off:.2f} s apart in round {when}: "
-                    "seconds told here are those of rounds"
+                    f"{history.name}'s clock and its rounds are {off:.2f} s apart in round {when}: "
+                    "the audit uses the time of rounds"
                 )
             if bound > delta / 2:
                 found.append(
-                    f"{story.name} knew the fleet's time only to {bound:.2f} s: its samples are of other moments"
+                    f"{history.name} knew the fleet's time only to {bound:.2f} s: its samples are from other times"
                 )
     return found

@@ -1,4 +1,4 @@
-"""Contracts of extern functions, other reasons to discard an event, and loop invariants, as robots told of them."""
+"""Contracts of extern functions, causes of discarded events, and loop invariants, from records."""
 
 from __future__ import annotations
 
@@ -9,90 +9,96 @@ from typing import Any
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
-from koordgen.verify.audit.finding import AFTER, Finding, Moment, Outcome, Violation
-from koordgen.verify.audit.story import Mission, Story
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.audit.history import FleetMission, RobotHistory
+from koordgen.verify.audit.result import AFTER, AuditViolation, Observation, Outcome, PropertyResult
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/program/extern.py words it
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # the format of runtime/program/extern.py
 
 
-def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
-    """A finding for each line of a contract, and last one that every program has: that no event is discarded for a
-    reason of the program's. Robots do not tell each call: what is counted are events."""
+def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
+    """Return a result for each line of a contract, and a last one for discarded events.
+
+    The last result, which every program has, says that no event was discarded for a cause in the program. Robots do not
+    record single calls, so events are counted."""
     found = {
-        formula.span.line: Finding("contract", f"{extern.name} {word} {spelled(formula)}", formula.span.line)
+        formula.span.line: PropertyResult("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
         for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures))
         for formula in formulas
     }
-    general = Finding("well-defined", "", 0)
+    general = PropertyResult("well-defined", "", 0)
     _miss([*found.values(), general], mission)
     for round_ in range(max(1, mission.first), mission.last + 1):
         told: dict[int, list[tuple[Outcome, str]]] = {line: [] for line in (0, *found)}
-        for story in mission.stories:
-            record = _record(story, round_)
-            if round_ < story.since:
+        for history in mission.histories:
+            record = _record(history, round_)
+            if round_ < history.since:
                 for outcomes in told.values():
-                    outcomes.append(("unknown", story.silent(round_)))
+                    outcomes.append(("unknown", history.silent(round_)))
             if record.get("event") is None and record.get("fault") is None:
                 continue
             broken = _line(record, found)
             for line, outcomes in told.items():
                 outcomes.append(("violated" if line == broken else "held", ""))
-            finding = general if broken == 0 else found.get(broken)
-            if finding is not None and finding.first is None:
-                finding.first = _violation(story, round_, record)
-        for finding in (general, *found.values()):
-            finding.close(round_, told[finding.line], of_each=True)
+            result = general if broken == 0 else found.get(broken)
+            if result is not None and result.first is None:
+                result.first = _violation(history, round_, record)
+        for result in (general, *found.values()):
+            result.close(round_, told[result.line], of_each=True)
     return [*found.values(), general]
 
 
-def loops(program: decl.Program, mission: Mission) -> list[Finding]:
-    """A finding for each loop invariant: what is counted are events (and each `init`), with its loop or without."""
+def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
+    """Return a result for each loop invariant.
+
+    Events and `init`s are counted, whether they contain the loop or not."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
-    found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
+    found = {line: PropertyResult("loop invariant", f"line {line}", line) for line in sorted(invariants)}
     _miss(list(found.values()), mission)
     for round_ in range(mission.first, mission.last + 1):
-        ran: list[tuple[Story, Mapping[str, Any]]] = []
-        for story in mission.stories:
-            record = (story.init or {}) if round_ == 0 else _record(story, round_)
+        ran: list[tuple[RobotHistory, Mapping[str, Any]]] = []
+        for history in mission.histories:
+            record = (history.init or {}) if round_ == 0 else _record(history, round_)
             if record.get("kind") == "init" or (record.get("event") is not None and record.get("fault") is None):
-                ran.append((story, record))
-        for line, finding in found.items():
+                ran.append((history, record))
+        for line, result in found.items():
             told: list[tuple[Outcome, str]] = [
-                ("unknown", story.silent(round_)) for story in mission.stories if round_ < story.since
+                ("unknown", history.silent(round_)) for history in mission.histories if round_ < history.since
             ]
-            for story, record in ran:
+            for history, record in ran:
                 broken = line in record.get("violated", ())
                 told.append(("violated" if broken else "held", ""))
-                if broken and finding.first is None:
-                    read = (f"in {record.get('event') or 'init'}: {spelled(invariants[line].formula)}",)
-                    finding.first = Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
-            finding.close(round_, told, of_each=True)
+                if broken and result.first is None:
+                    read = (f"in {record.get('event') or 'init'}: {to_koord(invariants[line].formula)}",)
+                    result.first = AuditViolation(Observation(round_, False), AFTER, (history.name,), (), read, "", ())
+            result.close(round_, told, of_each=True)
     return list(found.values())
 
 
-def _miss(findings: list[Finding], mission: Mission) -> None:
+def _miss(results: list[PropertyResult], mission: FleetMission) -> None:
     """Count the rounds of each robot that no trace records."""
     if mission.first:
-        for finding in findings:
-            finding.miss(mission.first, len(mission.stories))
+        for result in results:
+            result.miss(mission.first, len(mission.histories))
 
 
-def _record(story: Story, round_: int) -> Mapping[str, Any]:
-    return story.rounds[round_].record if round_ in story.rounds else {}
+def _record(history: RobotHistory, round_: int) -> Mapping[str, Any]:
+    return history.rounds[round_].record if round_ in history.rounds else {}
 
 
-def late(mission: Mission) -> int:
-    """How many events were discarded because they took too long, which says nothing of the program."""
-    faults = [line.record.get("fault") for story in mission.stories for line in story.rounds.values()]
+def late(mission: FleetMission) -> int:
+    """Return the number of events that were discarded because they took too long."""
+    faults = [line.record.get("fault") for history in mission.histories for line in history.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
-def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
-    """The line of the contract that was broken; 0 where an event was discarded for another reason, else -1."""
+def _line(record: Mapping[str, Any], contracts: Mapping[int, PropertyResult]) -> int:
+    """Return the line of the broken contract.
+
+    0 if an event was discarded for another cause in the program, else -1."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
         return -1
@@ -100,8 +106,8 @@ def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
     return int(told[1]) if told and int(told[1]) in contracts else 0
 
 
-def _violation(story: Story, round_: int, record: Mapping[str, Any]) -> Violation:
+def _violation(history: RobotHistory, round_: int, record: Mapping[str, Any]) -> AuditViolation:
     fault = record["fault"]
     why = Fault(fault.get("file", ""), fault.get("line", 0), fault["reason"])
     read = (f"{record.get('event') or 'a guard'} was discarded, {why}",)
-    return Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
+    return AuditViolation(Observation(round_, False), AFTER, (history.name,), (), read, "", ())

@@ -1,4 +1,4 @@
-"""A program's properties over the whole fleet, after every round."""
+"""Judge: evaluates a program's properties over the whole fleet, after every round."""
 
 from __future__ import annotations
 
@@ -8,31 +8,40 @@ from functools import partial
 from typing import Any
 
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Bound, Known, Property, Read, Trail, Unknown, judged
-from koordgen.verify.audit.finding import AFTER, BEGIN, END, Finding, Moment, Outcome, Row, Violation
-from koordgen.verify.audit.meaning import Meaning
-from koordgen.verify.audit.story import Mission
-from koordgen.verify.audit.whole import Whole
+from koordgen.verify.audit.fleet_state import FleetState
+from koordgen.verify.audit.history import FleetMission
+from koordgen.verify.audit.properties import GeneratedProperties
+from koordgen.verify.audit.result import (
+    AFTER,
+    BEGIN,
+    END,
+    AuditViolation,
+    Observation,
+    Outcome,
+    PropertyResult,
+    ValueRow,
+)
 
-MOST_READ = 8
-MOST_ROBOTS = 6  # in a table
+MOST_READ = 8  # most values that a violation shows
+MOST_ROBOTS = 6  # most robots in a table
 _ANY = "the run followed a counterexample, which begins in any state in which the invariants hold"
-Progress = Callable[[int, int], None]  # the round, of how many
+Progress = Callable[[int, int], None]  # receives the round and the number of rounds
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """What a formula came to, and of what is not known whose it is: its name and robot (-1: nobody's)."""
+class _Evaluation:
+    """Outcome of one evaluation. `why`: the unknown value or the cause; `robot`: its owner, -1 if none."""
 
     outcome: Outcome
     why: str = ""
     robot: int = -1
 
 
-_UNTOLD = _Asked("unknown", "a call of a port")
+_UNRECORDED = _Evaluation("unknown", "a call of a port")
 
 
-def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
-    """As `judged`, with whose value is not known."""
+def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
+    """Evaluate a property as `judged` does, and record the owner of an unknown value."""
     robot = -1
 
     def listening(known: Known) -> bool:
@@ -44,72 +53,80 @@ def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
             raise
 
     outcome, why = judged(listening, known)
-    return _Asked(outcome, why, robot)
+    return _Evaluation(outcome, why, robot)
 
 
-class Judge:
-    """`findings` are in the program's order: properties, then assumptions, then what nobody can evaluate."""
+class PropertyJudge:
+    """Judge of one mission.
 
-    def __init__(self, meaning: Meaning, mission: Mission) -> None:
+    `results`: properties in the program's order, then assumptions, then unchecked ones."""
+
+    def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         self._meaning, self._mission = meaning, mission
         found = self._found = meaning.found
-        n = self._n = len(mission.stories)
-        self._properties = [(p, Finding(p.kind, p.name, p.line)) for p in found.properties]
-        self._assumptions = [(a, Finding("assume", a.module, a.line)) for a in found.assumptions]
-        unchecked = [Finding(u.kind, u.name, u.line, u.why) for u in found.unchecked]  # type: ignore[arg-type]
-        self.findings = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
+        n = self._n = len(mission.histories)
+        self._properties = [(p, PropertyResult(p.kind, p.name, p.line)) for p in found.properties]
+        self._assumptions = [(a, PropertyResult("assume", a.module, a.line)) for a in found.assumptions]
+        unchecked = [PropertyResult(u.kind, u.name, u.line, u.why) for u in found.unchecked]  # type: ignore[arg-type]
+        self.results = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
         if mission.step:
-            for finding in self.findings:
-                finding.unchecked = _ANY if finding.of == "initially" else finding.unchecked
+            for result in self.results:
+                result.unchecked = _ANY if result.of == "initially" else result.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
-        self._whole = Whole(meaning, mission)
-        self._before: dict[str, Any] = {}  # of the moment before
-        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.findings]  # of this round
+        self._whole = FleetState(meaning, mission)
+        self._before: dict[str, Any] = {}  # values at the previous observation
+        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]  # outcomes in this round
 
-    def run(self, progress: Progress) -> list[Finding]:
+    def run(self, progress: Progress) -> list[PropertyResult]:
         whole, first, last = self._whole, self._mission.first, self._mission.last
         if first:
-            for finding in self.findings:
-                finding.miss(first, self._n if finding.of == "assume" else 1)
+            for result in self.results:
+                result.miss(first, self._n if result.of == "assume" else 1)
         elif not self._mission.step:
-            self._fleet(Moment(0, False), BEGIN, "initially")
+            self._fleet(Observation(0, False), BEGIN, "initially")
         for round_ in range(first, last + 1):
             progress(round_, last)
             self._before = dict(whole.values)
             whole.advance()
-            self._fleet(Moment(round_, False), AFTER, "invariant")
+            self._fleet(Observation(round_, False), AFTER, "invariant")
             if round_ < last:
                 self._before = dict(whole.values)
                 whole.end()
-                self._fleet(Moment(round_, True), END, "invariant")
+                self._fleet(Observation(round_, True), END, "invariant")
                 if round_:
                     self._steps(round_)
             self._close(round_)
-        return self.findings
+        return self.results
 
     def _close(self, round_: int) -> None:
-        for finding, told in zip(self.findings, self._told, strict=True):
-            finding.close(round_, told, of_each=finding.of == "assume")
+        for result, told in zip(self.results, self._told, strict=True):
+            result.close(round_, told, of_each=result.of == "assume")
             told.clear()
 
-    def _note(self, finding: Finding, came: _Asked, moment: Moment, violation: Callable[[], Violation]) -> None:
-        missing = self._missing(came, moment) if came.outcome == "unknown" else ""
-        self._told[next(k for k, f in enumerate(self.findings) if f is finding)].append((came.outcome, missing))
-        if came.outcome in ("violated", "no value") and finding.first is None:
-            finding.first = violation()
+    def _note(
+        self,
+        result: PropertyResult,
+        came: _Evaluation,
+        observation: Observation,
+        violation: Callable[[], AuditViolation],
+    ) -> None:
+        missing = self._missing(came, observation) if came.outcome == "unknown" else ""
+        self._told[next(k for k, f in enumerate(self.results) if f is result)].append((came.outcome, missing))
+        if came.outcome in ("violated", "no value") and result.first is None:
+            result.first = violation()
 
-    def _fleet(self, moment: Moment, where: str, kind: str) -> None:
+    def _fleet(self, observation: Observation, where: str, kind: str) -> None:
         self._known.put(self._whole.values)
-        for property_, finding in self._properties:
+        for property_, result in self._properties:
             sensed = any(name in self._whole.sensors for name in property_.reads)
-            if property_.kind != kind or (moment.end and not sensed):
+            if property_.kind != kind or (observation.end and not sensed):
                 continue
-            came = asked(property_.holds, self._known)
-            self._note(finding, came, moment, partial(self._violation, property_, came, moment, where))
+            came = evaluated(property_.holds, self._known)
+            self._note(result, came, observation, partial(self._violation, property_, came, observation, where))
 
     def _steps(self, round_: int) -> None:
-        """Each robot's ports over this round, as far as both ends of it are known."""
-        moment = Moment(round_, True)
+        """Evaluate the assumptions on each robot's ports over this round, if both ends of it are known."""
+        observation = Observation(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
             if not self._assumptions:
@@ -121,29 +138,33 @@ class Judge:
             step.put({name: self._before[name][pid] for name in ports})
             step.put({f"{name}'": self._before[name][pid] for name in ports if name in actuators})
             step.put({f"{name}'": self._whole.values[name][pid] for name in ports if name not in actuators})
-            for assumption, finding in self._assumptions:
-                came = _UNTOLD if calls is None else asked(assumption.holds_of_calls, step)
+            for assumption, result in self._assumptions:
+                came = _UNRECORDED if calls is None else evaluated(assumption.holds_of_calls, step)
                 whose = replace(came, robot=pid)
-                finding.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
-                self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
+                result.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
+                self._note(result, whose, observation, partial(self._broken, assumption, whose, observation))
 
     def _in_model(self, pid: int, round_: int) -> bool:
         """Return whether the model knows a robot from a round's start to its end."""
-        story = self._mission.stories[pid]
-        return not (story.out_at(round_) or story.out_at(round_ + 1))
+        history = self._mission.histories[pid]
+        return not (history.out_at(round_) or history.out_at(round_ + 1))
 
-    def _missing(self, came: _Asked, moment: Moment) -> str:
-        """What is not known, and whose trace would tell: of an assumption an unprimed sensor by the round's start."""
+    def _missing(self, came: _Evaluation, observation: Observation) -> str:
+        """Describe the unknown value and the trace that lacks it.
+
+        An assumption reads an unprimed sensor at the round's start, a primed one at its end."""
         read = came.why.partition("[")[0]
         name = read.rstrip("'")
-        later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)
+        later = observation.end and name in self._whole.sensors and (read != name or "[" in came.why)
         if came.robot < 0:
-            silent = [s.silent(moment.round) for s in self._mission.stories if s.may_act(moment.round)]
-            return f"{name}: {'; '.join(silent) or 'no trace says it'}"
-        story = self._mission.stories[came.robot]
-        return f"{name} of {story.name}: {story.silent(moment.round + later)}"
+            silent = [s.silent(observation.round) for s in self._mission.histories if s.may_act(observation.round)]
+            return f"{name}: {'; '.join(silent) or 'no trace contains it'}"
+        history = self._mission.histories[came.robot]
+        return f"{name} of {history.name}: {history.silent(observation.round + later)}"
 
-    def _violation(self, property_: Property, came: _Asked, moment: Moment, where: str) -> Violation:
+    def _violation(
+        self, property_: Property, came: _Evaluation, observation: Observation, where: str
+    ) -> AuditViolation:
         trail: Trail = []
         again = self._found.fleet(self._n, trail)
         again.take(self._known)
@@ -153,45 +174,45 @@ class Judge:
         pids += [r.robot for r in trail if isinstance(r, Read) and r.robot is not None and not pids]
         rows = tuple(self._rows(property_.reads, sorted(set(pids))[:MOST_ROBOTS]))
         why = came.why if came.outcome == "no value" else ""
-        return Violation(moment, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
+        return AuditViolation(observation, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
-    def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[Row]:
-        """What the property reads: of these robots, and what is nobody's."""
+    def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[ValueRow]:
+        """Yield the values that the property reads: those of these robots, and the allwrite variables."""
         before, after, text = self._before, self._whole.values, self._meaning.text
         slots = {name for name in reads if isinstance(after.get(name), list)}
         for pid in pids:
             for name in slots:
                 was = text(name, before[name][pid]) if name in before else ""
-                yield Row(self._mission.stories[pid].name, name, was, text(name, after[name][pid]))
+                yield ValueRow(self._mission.histories[pid].name, name, was, text(name, after[name][pid]))
         for name in reads:
             if name not in slots:
-                yield Row("", name, text(name, before.get(name, UNKNOWN)), text(name, after.get(name, UNKNOWN)))
+                yield ValueRow("", name, text(name, before.get(name, UNKNOWN)), text(name, after.get(name, UNKNOWN)))
 
-    def _broken(self, assumption: Assumption, came: _Asked, moment: Moment) -> Violation:
+    def _broken(self, assumption: Assumption, came: _Evaluation, observation: Observation) -> AuditViolation:
         trail: Trail = []
         again = self._found.step(self._n, trail)
         again.take(self._step)
         judged(assumption.holds_of_calls, again)
         pid, one = self._step.pid, self._step.one
-        name = self._mission.stories[pid].name
+        name = self._mission.histories[pid].name
         reads = dict.fromkeys(read.rstrip("'") for read in assumption.reads)
         rows = [
-            Row(name, read, *(self._meaning.text(read, one[each].content) for each in (read, f"{read}'")))
+            ValueRow(name, read, *(self._meaning.text(read, one[each].content) for each in (read, f"{read}'")))
             for read in reads
             if read in one
         ]
         bound = [each for each in trail if isinstance(each, Bound)]
         why = came.why if came.outcome == "no value" else ""
         where = "from its start to its end"
-        return Violation(moment, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
+        return AuditViolation(observation, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
 
     def _names(self, pids: list[int]) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(self._mission.stories[pid].name for pid in pids))
+        return tuple(dict.fromkeys(self._mission.histories[pid].name for pid in pids))
 
     def _bound(self, bound: list[Bound]) -> tuple[str, ...]:
         found = []
         for name, value, robot in bound:
-            who = f" ({self._mission.stories[value].name})" if robot and value in range(self._n) else ""
+            who = f" ({self._mission.histories[value].name})" if robot and value in range(self._n) else ""
             found.append(f"{name} = {self._meaning.text('', value)}{who}")
         return tuple(found)
 

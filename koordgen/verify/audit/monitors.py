@@ -1,32 +1,32 @@
-"""What robots' own monitors said, beside what the whole fleet's traces show."""
+"""Comparison of robots' monitors with the audit of the whole fleet."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from koordgen.verify.audit.finding import Finding
-from koordgen.verify.audit.story import FOREVER, Mission, Story
+from koordgen.verify.audit.history import FOREVER, FleetMission, RobotHistory
+from koordgen.verify.audit.result import PropertyResult
 
-SLACK = 2  # rounds by which a robot may say it later than it was
+SLACK = 2  # rounds by which a robot may report a violation late
 _BAD = ("violated", "no value")
 
 
-def compared(findings: Sequence[Finding], mission: Mission) -> list[str]:
-    """Notes of what robots said and the whole does not show, and of the reverse."""
+def compare_monitors(results: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
+    """Return notes about violations that monitors reported and the audit does not show, and vice versa."""
     notes: list[str] = []
-    for finding in findings:
-        said = {story.pid: _said(finding, story) for story in mission.stories}
+    for result in results:
+        said = {history.pid: _said(result, history) for history in mission.histories}
         told = {pid: spans for pid, spans in said.items() if spans}
-        if finding.spans and told:
-            notes += [note for pid, spans in told.items() for note in _alone(finding, mission.stories[pid], spans)][:3]
-            notes += _unsaid(finding, told, mission)
+        if result.spans and told:
+            notes += [note for pid, spans in told.items() for note in _alone(result, mission.histories[pid], spans)][:3]
+            notes += _unsaid(result, told, mission)
     return notes
 
 
-def _said(finding: Finding, story: Story) -> list[tuple[int, int, Mapping[str, Any]]]:
-    """From which round to before which a robot said what of a property."""
-    mine = [r for r in story.monitors if _of(r) == finding.of and _line(r) == finding.line]
+def _said(result: PropertyResult, history: RobotHistory) -> list[tuple[int, int, Mapping[str, Any]]]:
+    """Return a robot's reports about a property, each with its first round and the round in which it ends."""
+    mine = [r for r in history.monitors if _of(r) == result.of and _line(r) == result.line]
     mine.sort(key=lambda r: int(r["round"]))
     ends = [*[int(r["round"]) for r in mine[1:]], FOREVER]
     return [(int(r["round"]), end, r) for r, end in zip(mine, ends, strict=False)]
@@ -42,25 +42,27 @@ def _line(record: Mapping[str, Any]) -> int:
     return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
-def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:
-    """What this robot took for a violation, and was none."""
+def _alone(
+    result: PropertyResult, history: RobotHistory, spans: list[tuple[int, int, Mapping[str, Any]]]
+) -> Iterator[str]:
+    """Yield notes about reported violations where the property held."""
     for since, until, record in spans:
         if record.get("outcome") not in _BAD:
             continue
         first = max(0, since - 1 - int(record.get("age", 0)))
-        last = min(until, finding.spans[-1].until)
-        if all(finding.at(round_) == "held" for round_ in range(first, max(first, last) + 1)):
+        last = min(until, result.spans[-1].until)
+        if all(result.at(round_) == "held" for round_ in range(first, max(first, last) + 1)):
             yield (
-                f"{story.name} said in round {since} that {finding.title} (line {finding.line}) is "
-                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; on the whole it held"
+                f"{history.name} reported in round {since} that {result.title} (line {result.line}) is "
+                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; over the whole fleet it held"
             )
 
 
 def _unsaid(
-    finding: Finding, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: Mission
+    result: PropertyResult, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
 ) -> Iterator[str]:
-    """A violation that no monitor noticed."""
-    bad = next((span for span in finding.spans if span.outcome in _BAD), None)
+    """Yield a note about a violation that no monitor reported."""
+    bad = next((span for span in result.spans if span.outcome in _BAD), None)
     if bad is None:
         return
     window = range(bad.since - 1, bad.until + SLACK + 1)
@@ -76,8 +78,8 @@ def _unsaid(
     for pid, record in here:
         if record.get("outcome") == "held":
             yield (
-                f"{mission.stories[pid].name} said that {finding.title} (line {finding.line}) held in {rounds}; "
-                "on the whole it was violated"
+                f"{mission.histories[pid].name} reported that {result.title} (line {result.line}) held in {rounds}; "
+                "over the whole fleet it was violated"
             )
             return
-    yield f"no monitor could tell that {finding.title} (line {finding.line}) was violated in {rounds}"
+    yield f"no monitor could evaluate that {result.title} (line {result.line}) was violated in {rounds}"

@@ -1,35 +1,35 @@
-"""A picture of an audit: each property over time, and where it was violated or not known."""
+"""Picture of an audit: each property over time, with violations and unknown rounds."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from koordgen.verify.audit.finding import Outcome
+from koordgen.verify.audit.result import Outcome
 from koordgen.verify.audit.show import Audit
 
 COLOURS: dict[Outcome, str] = {"held": "#2a7f3f", "violated": "#c0392b", "no value": "#8e44ad", "unknown": "#bdc3c7"}
 
 
 def draw(audit: Audit, path: Path) -> None:
-    """The file's ending says how. Raises OSError."""
+    """Write the picture; the file's suffix selects the format. Raises OSError."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
     mission = audit.mission
-    rows = [finding for finding in audit.findings if finding.spans]
+    rows = [result for result in audit.results if result.spans]
     figure = Figure(figsize=(10, 1.6 + 0.4 * len(rows)), layout="constrained")
     axes = figure.subplots()
-    for place, finding in enumerate(rows):
+    for place, result in enumerate(rows):
         for outcome, colour in COLOURS.items():
             bars = [
                 ((span.since - 1) * mission.delta, (span.until - span.since + 1) * mission.delta)
-                for span in finding.spans
+                for span in result.spans
                 if span.outcome == outcome
             ]
             axes.broken_barh(bars, (place - 0.35, 0.7), color=colour)
-        if finding.first is not None:
-            axes.plot([finding.first.moment.seconds(mission.delta)], [place], "kx")
-    titles = [f"{finding.title}"[:40] for finding in rows]
+        if result.first is not None:
+            axes.plot([result.first.observation.seconds(mission.delta)], [place], "kx")
+    titles = [f"{result.title}"[:40] for result in rows]
     axes.set_yticks(range(len(rows)), titles)
     axes.invert_yaxis()
     axes.set_xlabel("s since round 1")

@@ -1,4 +1,4 @@
-"""What an audit has found, as people read it, at most 100 columns wide, and as data."""
+"""Result of an audit as text of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from koordgen.verify.audit.blame import Blame
-from koordgen.verify.audit.finding import BEGIN, Finding, Violation
-from koordgen.verify.audit.story import Mission
+from koordgen.verify.audit.history import FleetMission
+from koordgen.verify.audit.result import BEGIN, AuditViolation, PropertyResult
 from koordgen.verify.prove.report.show import wrapped
 
 WIDTH = 100
@@ -20,12 +20,14 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """`proved`: what `koordgen prove` says of each invariant, by its name; None where it was not asked.
-    `ended`: before the end of the mission, by a limit of time."""
+    """A finished audit.
+
+    `proved`: the verdict of `koordgen prove` on each invariant, by its name; None if it was not asked. `ended`: a limit
+    of time ended the audit early."""
 
     program: str  # the program's file
-    mission: Mission
-    findings: Sequence[Finding]
+    mission: FleetMission
+    results: Sequence[PropertyResult]
     blames: Sequence[Blame]
     notes: Sequence[str]
     proved: Mapping[str, str] | None = None
@@ -33,28 +35,28 @@ class Audit:
 
     @property
     def violated(self) -> bool:
-        return any(f.first is not None for f in self.findings)
+        return any(f.first is not None for f in self.results)
 
     @property
     def doubtful(self) -> bool:
-        """Nothing of it may be said of the whole mission: something was never known, or traces are not whole."""
+        """Return whether the audit cannot cover the whole mission: something is unknown or missing."""
         return (
             self.ended
             or self.mission.cut
-            or any(f.verdict in ("unknown", "unchecked") for f in self.findings if f.of != "axiom")
+            or any(f.verdict in ("unknown", "unchecked") for f in self.results if f.of != "axiom")
         )
 
 
 def report(audit: Audit) -> str:
     mission = audit.mission
-    robots = sum(bool(story.lives) for story in mission.stories)
+    robots = sum(bool(history.lives) for history in mission.histories)
     rounds = f"{mission.last} round{'s' * (mission.last != 1)}"
     if mission.first:
         rounds += f", unknown before round {mission.first}"
-    lines = [f"{audit.program}, {robots} of {len(mission.stories)} robots, {rounds}", ""]
-    lines += _table(audit.findings)
-    for finding in audit.findings:
-        lines += _details(finding, audit)
+    lines = [f"{audit.program}, {robots} of {len(mission.histories)} robots, {rounds}", ""]
+    lines += _table(audit.results)
+    for result in audit.results:
+        lines += _details(result, audit)
     if audit.notes:
         lines += ["", "notes:"]
         told = [
@@ -66,11 +68,11 @@ def report(audit: Audit) -> str:
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def _table(findings: Sequence[Finding]) -> Iterator[str]:
+def _table(results: Sequence[PropertyResult]) -> Iterator[str]:
     rows = [("verdict", "property", "line", "rounds", "violated", "unknown")]
     rows += [
         (f.verdict, f.title, str(f.line or ""), str(f.rounds), str(f.violated or ""), str(f.unknown or ""))
-        for f in findings
+        for f in results
     ]
     widths = [min(46, max(len(row[k]) for row in rows)) for k in range(len(rows[0]))]
     for row in rows:
@@ -82,33 +84,33 @@ def _table(findings: Sequence[Finding]) -> Iterator[str]:
         yield "  ".join([*left, *right])
 
 
-def _details(finding: Finding, audit: Audit) -> Iterator[str]:
-    if finding.first is not None:
+def _details(result: PropertyResult, audit: Audit) -> Iterator[str]:
+    if result.first is not None:
         yield ""
-        yield from _violation(finding, finding.first, audit)
+        yield from _violation(result, result.first, audit)
         for blame in audit.blames:
-            if blame.invariant is finding:
-                yield from [""] if finding.first.rows else []
+            if blame.invariant is result:
+                yield from [""] if result.first.rows else []
                 yield from wrapped(sentence(blame, audit))
-    if finding.unchecked and finding.verdict == "unchecked":
-        yield from ("", *wrapped(f"{finding.title}: {finding.unchecked}"))
-    if finding.unknown:
-        yield from ("", f"{finding.title}, unknown in {finding.unknown} round{'s' * (finding.unknown != 1)}:")
-        missing = sorted(finding.missing.items(), key=lambda each: -each[1])
+    if result.unchecked and result.verdict == "unchecked":
+        yield from ("", *wrapped(f"{result.title}: {result.unchecked}"))
+    if result.unknown:
+        yield from ("", f"{result.title}, unknown in {result.unknown} round{'s' * (result.unknown != 1)}:")
+        missing = sorted(result.missing.items(), key=lambda each: -each[1])
         for text, count in missing[:MOST_MISSING]:
             yield from wrapped(f"{text} ({count})")
         if len(missing) > MOST_MISSING:
             yield f"  and {len(missing) - MOST_MISSING} more reasons"
 
 
-def when(violation: Violation, mission: Mission) -> str:
-    """A violation's time in words."""
-    seconds = violation.moment.seconds(mission.delta)
-    round_ = violation.moment.round
+def when(violation: AuditViolation, mission: FleetMission) -> str:
+    """Return the time of a violation in words."""
+    seconds = violation.observation.seconds(mission.delta)
+    round_ = violation.observation.round
     if round_ == 0:
         return (
             "as round 1 begins"
-            if violation.moment.end
+            if violation.observation.end
             else violation.where
             if violation.where == BEGIN
             else "after init"
@@ -117,11 +119,11 @@ def when(violation: Violation, mission: Mission) -> str:
     return f"{seconds:.2f} s, round {round_} {violation.where}{fleet}"
 
 
-def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str]:
-    verb = "has no value" if finding.verdict == "no value" else "is violated"
-    place = f" ({audit.program}:{finding.line})" if finding.line else ""
+def _violation(result: PropertyResult, first: AuditViolation, audit: Audit) -> Iterator[str]:
+    verb = "has no value" if result.verdict == "no value" else "is violated"
+    place = f" ({audit.program}:{result.line})" if result.line else ""
     robots = f", {', '.join(first.robots)}" if first.robots else ""
-    yield f"{finding.title} {verb}{place}"
+    yield f"{result.title} {verb}{place}"
     yield from wrapped(f"{when(first, audit.mission)}{robots}")
     reason = "; ".join(filter(None, (", ".join(first.bound), "; ".join(first.read), first.why)))
     if reason:
@@ -131,7 +133,7 @@ def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str
         yield from _rows(first)
 
 
-def _rows(violation: Violation) -> Iterator[str]:
+def _rows(violation: AuditViolation) -> Iterator[str]:
     rows = [("robot", "variable", "before", "after")]
     last = ""
     for robot, variable, before, after in violation.rows:
@@ -146,46 +148,48 @@ def _rows(violation: Violation) -> Iterator[str]:
 
 
 def sentence(blame: Blame, audit: Audit) -> str:
-    """What a proof of the invariant has to do with its violation."""
+    """Return a sentence that relates the proof of an invariant to its violation."""
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
     gone = _gone(blame, audit.mission)
     if blame.broke:
-        told = [_broke(finding, audit.mission) for _, finding in blame.broke]
+        told = [_broke(result, audit.mission) for _, result in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
         return f"the proof of {name} {verb} on {'; and on '.join(told)}{gone}"
-    seen = f"no assumption that its proof rests on broke before{gone}"
+    seen = f"no assumption of its proof broke before{gone}"
     if blame.unseen:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
-        seen = f"no assumption that its proof rests on was seen to break before, but not all was seen: {texts}{gone}"
+        seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{gone}"
     bug = (
-        "this is a bug of koordgen, or robots did something that no proof speaks of (`koordgen replay` compares what "
+        "this is a bug of koordgen, or robots did something outside of the model (`koordgen replay` compares what "
         "they did with the program): please report it, with these traces"
     )
     if said is None:
-        return f"{seen}. Where `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
+        return f"{seen}. If `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
     if said != PROVED:
-        return f"`koordgen prove` says {said} of {name} with these params: no proof says that it holds"
+        return f"`koordgen prove` says {said} of {name} with these params, so no proof covers it"
     return f"{name} is PROVED, and {seen}: {bug}"
 
 
-def _gone(blame: Blame, mission: Mission) -> str:
-    """Who had left the model by then, or told nothing for a while: of what its body does a proof says nothing."""
+def _gone(blame: Blame, mission: FleetMission) -> str:
+    """Name the robots that had left the model by then, or had gaps in their traces.
+
+    No proof covers what these robots did."""
     first = blame.invariant.first
     assert first is not None
     names = [
-        story.name
-        for story in mission.stories
-        if any(gap.since <= first.moment.round for gap in (*story.out, *story.away, *story.quiet))
+        history.name
+        for history in mission.histories
+        if any(gap.since <= first.observation.round for gap in (*history.out, *history.away, *history.quiet))
     ]
-    return f"; by then {', '.join(names)} had been out of the model, of which no proof speaks" if names else ""
+    return f"; by then {', '.join(names)} had been outside of the model, which no proof covers" if names else ""
 
 
-def _broke(finding: Finding, mission: Mission) -> str:
-    first = finding.first
+def _broke(result: PropertyResult, mission: FleetMission) -> str:
+    first = result.first
     assert first is not None
     robots = f" by robot {', '.join(first.robots)}" if first.robots else ""
-    return f"`{finding.title}` (line {finding.line}), which broke at {when(first, mission)}{robots}"
+    return f"`{result.title}` (line {result.line}), which broke at {when(first, mission)}{robots}"
 
 
 def document(audit: Audit, status: int) -> dict[str, Any]:
@@ -199,42 +203,42 @@ def document(audit: Audit, status: int) -> dict[str, Any]:
         "status": status,
         "robots": [
             {
-                "name": story.name,
-                "pid": story.pid,
-                "files": list(dict.fromkeys(str(life.log.path) for life in story.lives)),
-                "lives": len(story.lives[:1]) + sum(not life.continues for life in story.lives[1:]),
-                "last": story.last,
+                "name": history.name,
+                "pid": history.pid,
+                "files": list(dict.fromkeys(str(life.log.path) for life in history.lives)),
+                "lives": len(history.lives[:1]) + sum(not life.continues for life in history.lives[1:]),
+                "last": history.last,
             }
-            for story in mission.stories
+            for history in mission.histories
         ],
-        "properties": [_property(finding, audit) for finding in audit.findings],
+        "properties": [_property(result, audit) for result in audit.results],
         "notes": list(audit.notes),
     }
 
 
-def _property(finding: Finding, audit: Audit) -> dict[str, Any]:
-    blame = next((b for b in audit.blames if b.invariant is finding), None)
+def _property(result: PropertyResult, audit: Audit) -> dict[str, Any]:
+    blame = next((b for b in audit.blames if b.invariant is result), None)
     return {
-        "of": finding.of,
-        "name": finding.name,
-        "line": finding.line,
-        "verdict": finding.verdict,
-        "rounds": finding.rounds,
-        "violated": finding.violated,
-        "unknown": finding.unknown,
-        "unchecked": finding.unchecked or None,
-        "missing": finding.missing,
-        "spans": [span._asdict() for span in finding.spans],
-        "first": _first(finding.first, audit.mission) if finding.first is not None else None,
+        "of": result.of,
+        "name": result.name,
+        "line": result.line,
+        "verdict": result.verdict,
+        "rounds": result.rounds,
+        "violated": result.violated,
+        "unknown": result.unknown,
+        "unchecked": result.unchecked or None,
+        "missing": result.missing,
+        "spans": [span._asdict() for span in result.spans],
+        "first": _first(result.first, audit.mission) if result.first is not None else None,
         "proof": _proof(blame, audit) if blame is not None else None,
     }
 
 
-def _first(first: Violation, mission: Mission) -> dict[str, Any]:
-    seconds = first.moment.seconds(mission.delta)
+def _first(first: AuditViolation, mission: FleetMission) -> dict[str, Any]:
+    seconds = first.observation.seconds(mission.delta)
     return {
-        "round": first.moment.round,
-        "at_end": first.moment.end,
+        "round": first.observation.round,
+        "at_end": first.observation.end,
         "seconds": seconds,
         "fleet_time": None if mission.start is None else mission.start + seconds,
         "robots": list(first.robots),
@@ -250,7 +254,13 @@ def _proof(blame: Blame, audit: Audit) -> dict[str, Any]:
         "verdict": None if audit.proved is None else audit.proved.get(blame.invariant.name),
         "says": sentence(blame, audit),
         "broke": [
-            {"of": f.of, "name": f.name, "line": f.line, "round": f.first.moment.round, "robots": list(f.first.robots)}
+            {
+                "of": f.of,
+                "name": f.name,
+                "line": f.line,
+                "round": f.first.observation.round,
+                "robots": list(f.first.robots),
+            }
             for _, f in blame.broke
             if f.first is not None
         ],

@@ -1,6 +1,6 @@
-"""Explore: everything that a fleet can come to, by generated code over packed states.
+"""Explorer: explicit-state search of all runs of a small fleet, with the robots' generated code.
 
-Owns: environments, rounds, search, symmetry, the shortest run to what must not be.
+Owns: environments, rounds, search, state-space reductions, the shortest run to a violation.
 Offers: `search`, `show`.
 Must not import: audit, attack.
 """

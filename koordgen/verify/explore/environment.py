@@ -1,4 +1,4 @@
-"""A finite environment: what sensors may say first, and next after each round; what callable ports may answer."""
+"""Finite environment: values of sensors initially and after each round, and answers of callable ports."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from koordgen.lang.semantics.exec import NoMeaning
 from koordgen.lang.semantics.property import Asked, holds_assumption
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
-from koordgen.verify.explore.machine import Answer, Machine, Own, Packed
+from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
 from koordgen.verify.replay.functions import meant_value
 
-STRAIGHT: Final = "straight"  # the way from `position` to the goal
+STRAIGHT: Final = "straight"  # answer of a planner: the path from `position` straight to the goal
 
 
-class Domain(NamedTuple):
-    """The values of one sensor. `near` tells whether one follows another within a round; None: any does. `starts` are
-    those of the beginning; None: all. `seen_from`: the value follows from where the robot is."""
+class SensorDomain(NamedTuple):
+    """Values of one sensor.
+
+    `near`: whether a value may follow another one within a round; None: any may. `starts`: values at the beginning;
+    None: all. `seen_from`: computes the value from the robot's position."""
 
     values: tuple[Value, ...]
     near: Callable[[Value, Value], bool] | None = None
@@ -31,36 +33,40 @@ class Domain(NamedTuple):
     seen_from: Callable[[Any], Value] | None = None
 
 
-class Lacking(Exception):
-    """An environment is needed, and is not there or not usable; the message says for which port."""
+class MissingEnvironment(Exception):
+    """An environment is needed for a port, but missing or unusable; the message names the port."""
 
 
 class Environment(NamedTuple):
-    """By "Module.port": sensors' domains; what callable ports may answer, values or STRAIGHT. `robots`: of those that
-    have their own, instead. `params` are those that the environment asks for."""
+    """Finite environment. Ports are named "Module.port".
 
-    domains: Mapping[str, Domain]
+    `domains`: values of sensors; `answers`: possible answers of callable ports, values or STRAIGHT; `robots`:
+    environments of single robots, which replace this one; `params`: values that the environment sets."""
+
+    domains: Mapping[str, SensorDomain]
     answers: Mapping[str, tuple[Any, ...]]
     robots: Mapping[int, Environment] = {}
     params: Mapping[str, Any] = {}
 
     def of(self, pid: int) -> Environment:
-        """That of one robot."""
+        """Return the environment of one robot."""
         return self.robots.get(pid, self)
 
 
-def answering(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
-    """What the callable ports of a robot may answer, by what its sensors say. Raises Lacking where assumptions allow
-    none of it."""
+def possible_answers(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
+    """Return a function that yields the possible answers of a robot's callable ports.
+
+    They depend on the values of its sensors. The function raises MissingEnvironment if the assumptions allow no
+    answer."""
     params = initial(program, 1).params
-    judges = {port: _judges(program, port) for port in environment.answers}
-    read = {port: _sensors(program, rules, port) for port, rules in judges.items()}
+    deciding = {port: _answer_assumptions(program, port) for port in environment.answers}
+    read = {port: _sensors(program, rules, port) for port, rules in deciding.items()}
     known: dict[Hashable, tuple[Any, ...]] = {}
 
     def allowed(pid: int, sensors: Mapping[str, Any], asked: Asked) -> bool:
         return all(
             holds_assumption(rule, program, sensors, sensors, pid, n_sys, params, asked=[asked])
-            for rule in judges[asked.port]
+            for rule in deciding[asked.port]
         )
 
     def answers(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -77,14 +83,16 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
         kept = tuple([answer for answer in given if allowed(pid, sensors, Asked(port, args, answer))])
         if not kept:
             asked = ", ".join(map(str, args))
-            raise Lacking(f"{port}({asked}) of robot {pid}: none of its answers is one that is assumed")
+            raise MissingEnvironment(
+                f"{port}({asked}) of robot {pid}: the program's assumptions allow none of its answers"
+            )
         return kept
 
     return answers
 
 
-def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
-    """The assumptions of which a port's answer alone decides, and what sensors say when it is asked for."""
+def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumption]:
+    """Return the assumptions that read only a port's answer, and sensors at the time of the call."""
     sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
     found = []
     for assumption in [a for m in program.modules for a in m.assumptions]:
@@ -97,13 +105,13 @@ def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
 
 
 def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
-    """Those that answers depend on: what the assumptions read, and where a straight way begins."""
+    """Return the sensors on which answers depend: those in assumptions, and the robot's position."""
     found = {f"{n.module}.{n.port}" for rule in rules for n in walk(rule.formula) if isinstance(n, PortRead)}
     return tuple(sorted(found | {position_beside(program, port)}))
 
 
-class Surroundings:
-    """The environment's steps of one machine's fleets."""
+class EnvironmentSteps:
+    """Steps of the environment from fleets of one machine."""
 
     def __init__(self, machine: Machine, environment: Environment) -> None:
         self.machine = machine
@@ -114,18 +122,18 @@ class Surroundings:
         self._news: dict[Hashable, list[dict[str, Value]]] = {}
 
     def starts(self) -> Iterator[tuple[dict[str, Value], ...]]:
-        """What all robots' sensors may say when a mission begins, `initially` aside."""
+        """Yield all sensors' values when a mission begins. `initially` is not checked here."""
         return product(*[self._starts(domains) for domains in self.domains])
 
-    def _starts(self, domains: Mapping[str, Domain]) -> list[dict[str, Value]]:
+    def _starts(self, domains: Mapping[str, SensorDomain]) -> list[dict[str, Value]]:
         pools: list[tuple[Value, ...]] = []
         for name in self.machine.sensors:
             values, _, starts, _ = domains[name]
             pools.append((True,) if name in self.machine.unset else values if starts is None else starts)
         return [self._looked(domains, values) for values in product(*pools)]
 
-    def _looked(self, domains: Mapping[str, Domain], values: tuple[Value, ...]) -> dict[str, Value]:
-        """Sensors by name, with what is seen from where the robot is."""
+    def _looked(self, domains: Mapping[str, SensorDomain], values: tuple[Value, ...]) -> dict[str, Value]:
+        """Return values of sensors by name, including those computed from the robot's position."""
         found = dict(zip(self.machine.sensors, values, strict=True))
         for name in found:
             look = domains[name].seen_from
@@ -134,7 +142,9 @@ class Surroundings:
         return found
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:
-        """Every fleet after the environment's step. Raises Lacking where an assumption has no value."""
+        """Yield every fleet after the environment's step.
+
+        Raises MissingEnvironment if an assumption has no value."""
         if not self.machine.sensors:
             yield fleet
             return
@@ -144,11 +154,11 @@ class Surroundings:
             yield owns + rest
 
     def moves(self, pid: int, own: int) -> tuple[int, ...]:
-        """What one robot's own may be after the step."""
+        """Return the possible private states of one robot after the environment's step."""
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]
-            key = (pid, self.machine.ports_key(robot))  # no assumption reads anything else
+            key = (pid, self.machine.ports_key(robot))  # assumptions read ports only
             if key not in self._news:
                 domains = self.domains[pid]
                 pools = [
@@ -161,11 +171,11 @@ class Surroundings:
             found = self._moves[pid, own] = tuple(moved)
         return found
 
-    def _nearby(self, domain: Domain, now: Value) -> list[Value]:
+    def _nearby(self, domain: SensorDomain, now: Value) -> list[Value]:
         return [v for v in domain.values if domain.near is None or domain.near(now, v)]
 
-    def _allowed(self, pid: int, robot: Own, new: Mapping[str, Any]) -> bool:
-        """Whether the assumptions let one robot's sensors come to these values."""
+    def _allowed(self, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
+        """Return whether the assumptions allow one robot's sensors to change to these values."""
         program, types = self.machine.program, self.machine.types
         before = {n: meant_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
         after = {**before, **new}
@@ -176,9 +186,9 @@ class Surroundings:
                         assumption, program, before, after, pid, self.machine.n_sys, self.machine.params
                     )
                 except Discarded as error:
-                    raise Lacking(f"{module.name}: an assumption has no value: {error}") from None
+                    raise MissingEnvironment(f"{module.name}: an assumption has no value: {error}") from None
                 except NoMeaning as error:
-                    raise Lacking(f"{module.name}: an assumption cannot be evaluated: {error}") from None
+                    raise MissingEnvironment(f"{module.name}: an assumption cannot be evaluated: {error}") from None
                 if not held:
                     return False
         return True

@@ -1,4 +1,4 @@
-"""A program's invariants as compiled Python over packed fleets."""
+"""Invariants of a program, compiled to Python over packed fleets."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.property import Each, One
 from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Interned, Machine, Packed
-from koordgen.verify.explore.pairs import Pairs, spread
+from koordgen.verify.explore.pairs import PairInvariants, pair_formula
 
 
 class _Fleet:
-    """What a formula reads; its names are minted for the program."""
+    """Object whose attributes a compiled formula reads; the emitter chooses their names."""
 
     def __init__(self, n_sys: int) -> None:
         self.n_sys = n_sys
 
 
 class _View:
-    """What one formula reads of fleets, as numbers: equal ones, the same truth."""
+    """Part of a fleet that one formula reads, as numbers. Equal views give equal truth values."""
 
     def __init__(self, formula: ir.Expr, machine: Machine) -> None:
         names = _reads(formula)
@@ -37,7 +37,7 @@ class _View:
         self.known: dict[Packed, bool] = {}
 
     def of(self, fleet: Packed) -> Packed:
-        """Of each number of a fleet what the formula reads of it."""
+        """Return for each number in a fleet the number of the part that the formula reads."""
         n_sys = self._machine.n_sys
         owns, slots, cells = self._of
         try:
@@ -69,7 +69,7 @@ class _View:
 
 
 class Invariants:
-    """All that can be evaluated; `unchecked` are the names of those that ask a `spec fun`."""
+    """Compiled invariants of one program. `unchecked`: names of invariants that call a `spec fun`."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -79,7 +79,7 @@ class Invariants:
             if property_.kind == "invariant":
                 meant[not _calls(property_.formula, specs)].append(property_)
         self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
-        spreads = [spread(property_.formula) for property_ in self.properties]
+        spreads = [pair_formula(property_.formula) for property_ in self.properties]
         self._holds = [self._compiled(property_) for property_ in self.properties]
         self._whole = [
             (_View(property_.formula, machine), holds)
@@ -87,7 +87,7 @@ class Invariants:
             if one is None
         ]
         self._fleet = _Fleet(machine.n_sys)
-        self._pairs = Pairs(machine, [one for one in spreads if one], self._fleet, self._take)
+        self._pairs = PairInvariants(machine, [one for one in spreads if one], self._fleet, self._take)
         names, program = machine.names, machine.program
         self._each: dict[str, Each[Any]] = {}
         self._one: dict[str, One[Any]] = {}
@@ -102,14 +102,14 @@ class Invariants:
             setattr(self._fleet, names.shared[name], self._one[name])
 
     def broken(self, fleet: Packed) -> decl.Property | None:
-        """The first that does not hold; one that has no value (an index that names no robot) does not."""
+        """Return the first invariant that does not hold or has no value; None if all hold."""
         if self._pairs.hold(fleet) and self._whole_hold(fleet):
             return None
         self._take(fleet)
         return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
 
     def _whole_hold(self, fleet: Packed) -> bool:
-        """Whether those hold that are of no kind that Pairs knows."""
+        """Return whether the invariants hold that `PairInvariants` cannot handle."""
         taken = False
         for view, holds in self._whole:
             seen = view.of(fleet)
@@ -127,7 +127,7 @@ class Invariants:
         begin()
         try:
             return holds(self._fleet)
-        except Exception:  # whatever functions of the user's raise
+        except Exception:  # functions of the user may raise anything
             return False
 
     def _take(self, fleet: Packed) -> None:

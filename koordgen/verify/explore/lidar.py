@@ -1,4 +1,4 @@
-"""What a planar lidar sees in a place with walls."""
+"""Model of a planar lidar among walls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ Wall = tuple[Point, Point]  # the corners of a box, metres, local ENU
 
 
 def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point], tuple[tuple[Point, Scan], ...]]:
-    """From a place, one scan of so many rays around it from east on, `range_` metres far. Robots are not seen."""
+    """Return a function from a position to one scan of a lidar.
+
+    A scan has `rays` rays around the position, from east on, up to `range_` metres. The lidar does not see robots."""
     angles = tuple([2 * math.pi * k / rays for k in range(rays)])
 
     def look(place: Point) -> tuple[tuple[Point, Scan], ...]:
@@ -22,7 +24,9 @@ def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point]
 
 
 def _way(place: Point, angle: float, wall: Wall) -> float:
-    """Metres along a ray to where it enters a box, by its slabs; infinite where it does not."""
+    """Return the distance in metres along a ray at which it enters a box, by its slabs.
+
+    Infinite if it misses."""
     enter, leave = 0.0, math.inf
     lo, hi = wall
     for at, along, low, high in (

@@ -1,8 +1,8 @@
-"""A program's events as compiled Python over packed fleets: the very code that robots run, remembered by what it reads.
+"""Transition function of one program: the code that robots run, over packed and memoised fleets.
 
-A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's own (locals, ports, whether it stopped),
-then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal values, floats
-by all their bits; what no event can read, the number of the round, is left out.
+A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's private state (locals, ports, whether it
+stopped), then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal
+values; floats are compared by all their bits. The number of the round is left out, since no event can read it.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from koordgen.verify.replay.functions import CannotCall, load, meant_value, pyth
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> the answer
-# pid, its sensors, "Module.port", arguments -> all that may be answered
+Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> answer
+# pid, its sensors, "Module.port", arguments -> all possible answers
 Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
 
-class Own(NamedTuple):
-    """What is one robot's alone; ports by "Module.port". `unset`: sensors that commands clear and that
-    none has cleared yet; they stay true until then."""
+class PrivateState(NamedTuple):
+    """One robot's private state; ports by "Module.port".
+
+    `unset`: sensors that commands clear but no command has cleared yet; they are true until then."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -44,8 +45,8 @@ class Own(NamedTuple):
     unset: frozenset[str] = frozenset()
 
 
-class Choice(NamedTuple):
-    """An event that a robot may run: its index, the robot's own and slots afterwards, what it writes to cells."""
+class RobotStep(NamedTuple):
+    """One possible step of a robot: the event's index, its private state, slots and writes afterwards."""
 
     event: int
     own: int
@@ -53,9 +54,11 @@ class Choice(NamedTuple):
     cells: int
 
 
-class Discard(NamedTuple):
-    """An event (-1: init) that has no result, or in which the loop invariant on `line` is false: then `choice` is its
-    result. It read the store `seen`, two parts of a packed fleet."""
+class DiscardedEvent(NamedTuple):
+    """A discarded event (-1: `init`), or an event with a false loop invariant.
+
+    `line`: place of the fault or of the loop invariant. `choice`: result of an event with a false loop invariant.
+    `seen`: the store that the event read, which is slots and cells of a packed fleet."""
 
     pid: int
     event: int
@@ -63,19 +66,22 @@ class Discard(NamedTuple):
     seen: Packed
     line: int
     reason: str
-    choice: Choice | None = None
+    choice: RobotStep | None = None
 
 
-class Asking:
-    """The ways an event can go, by what callable ports answer: any of what they may, equal questions the same."""
+class AnswerEnumeration:
+    """Enumeration of an event's runs, one for each combination of port answers.
+
+    Equal calls get equal answers."""
 
     def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
         self._answers = answers
         self._raised: Exception | None = None
 
-    def ways(self) -> Iterator[None]:
-        """Each is to be followed by a run of the event. Raises what the answers raise, which a run would take for a
-        fault of the event's."""
+    def runs(self) -> Iterator[None]:
+        """Yield once per combination; the caller then runs the event.
+
+        Re-raises an exception of the answers, which the run itself would report as a fault of the event."""
         self._pending: list[tuple[int, ...]] = [()]
         while self._pending:
             self._script = self._pending.pop()
@@ -101,7 +107,7 @@ class Asking:
 
 
 class Interned(Generic[T]):
-    """Values by number, equal keys having one number."""
+    """Table of values by number. Equal keys have the same number."""
 
     def __init__(self) -> None:
         self.values: list[T] = []
@@ -115,8 +121,10 @@ class Interned(Generic[T]):
 
 
 class Machine:
-    """One program for a fleet of `n_sys`. Runs the user's file of extern functions, if the program has some. Raises
-    CannotCall. `discards` are all that were met, `enabled` the indices of the events that had a result."""
+    """Transitions of one program in a fleet of `n_sys` robots.
+
+    Loads the user's file of extern functions if the program has some. `discards`: all discarded events so far;
+    `enabled`: indices of events that had a result. Raises CannotCall."""
 
     def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
         self.program, self.n_sys, self.answer = program, n_sys, answer
@@ -130,75 +138,81 @@ class Machine:
         self.unset, self._clears = clearable(program), clears(program)
         self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
         self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
-        self.owns: Interned[Own] = Interned()
+        self.owns: Interned[PrivateState] = Interned()
         self.slots: Interned[tuple[Any, ...]] = Interned()
         self.cells: Interned[tuple[Any, ...]] = Interned()
         self.writes: Interned[Mapping[str, Any]] = Interned()
         self.nothing = self.writes.number((), {})
         self._written: dict[tuple[int, int], int] = {}
         self.params = initial(program, 1).params
-        self.discards: list[Discard] = []
+        self.discards: list[DiscardedEvent] = []
         self.enabled: set[int] = set()
-        self.begin: type[rt.Transaction] = self.code.begin  # what an event works on
+        self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions of events
         place = {event.name: index for index, event in enumerate(program.events)}
         self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
         self.sensor_attributes = {f"{m}.{port}": self.names.ports[m, port] for m, port in self.names.sensors}
 
     def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
-        """Those of the events that a robot may run by priority: all guards before them in their `priority:` blocks have
-        a value and are false on the store at the round's start."""
+        """Return those of the events that a robot may run by priority.
+
+        All guards before them in their `priority:` blocks have a value and are false on the store at the round's
+        start."""
         robot = self.owns.values[own]
         held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
         return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
 
     def first(self, pid: int, own: int, begun: Packed) -> int | None:
-        """The event that an agent runs: the first in text order whose guard holds, or has no value."""
+        """Return the event that an agent runs: the first in text order whose guard holds or has no value."""
         robot = self.owns.values[own]
         if robot.stopped:
             return None
         return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
 
-    def _may_hold(self, event: int, pid: int, robot: Own, begun: Packed) -> bool:
+    def _may_hold(self, event: int, pid: int, robot: PrivateState, begun: Packed) -> bool:
         """Return whether a guard holds or has no value."""
         try:
             return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
-        except Exception:  # a fault of the guard's
+        except Exception:  # a fault of the guard
             return True
 
-    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
-        """Return the steps of these events that a robot may take on a store: all whose guards hold, but those
-        discarded. The events have priority, see `prior`."""
+    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
+        """Return the possible steps of a robot on a store.
+
+        These are the steps of the events whose guards hold, without discarded ones. The events have priority, see
+        `prior`."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
         asking = self._asking(pid, robot)
         looking = self._looking(pid, robot, seen, asking.call)
-        found: dict[Choice, None] = {}
+        found: dict[RobotStep, None] = {}
         for index in events:
-            for _ in asking.ways():
+            for _ in asking.runs():
                 done = self._run(self.code.events[index], looking, lambda: self.frame(pid, robot, seen, asking.call))
                 if isinstance(done, rt.Fault):
-                    self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+                    self.discards.append(DiscardedEvent(pid, index, own, seen, done.line, done.reason))
                 elif isinstance(done, rt.Effects):
                     self.enabled.add(index)
                     found[self._noted(index, pid, own, seen, done)] = None
         return tuple(found)
 
-    def _asking(self, pid: int, robot: Own) -> Asking:
-        return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
+    def _asking(self, pid: int, robot: PrivateState) -> AnswerEnumeration:
+        return AnswerEnumeration(lambda port, args: self.answer(pid, robot.sensors, port, args))
 
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
-        """What an event does; None where its guard does not hold."""
+        """Run an event. None if its guard does not hold."""
         try:
             if not rt.enabled(event, looking):
                 return None
             return rt.run(self.code, event.effect, self.begin(frame()), event.line)
-        except Exception:  # of a guard: the same again, told as of an effect
+        except Exception:  # of a guard: run again, so that it is reported like a fault of an effect
             return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
-    def begun(self, fleet: Packed) -> list[Packed]:
-        """A fleet after every robot's init, each on the store before it, in every way that this can go."""
+    def after_init(self, fleet: Packed) -> list[Packed]:
+        """Return all possible fleets after every robot's `init`.
+
+        Each `init` reads the store before all of them."""
         init = self.code.init
         if init is None:
             return [fleet]
@@ -207,18 +221,18 @@ class Machine:
             robot = self.owns.values[fleet[pid]]
             asking = self._asking(pid, robot)
             frame = self.frame(pid, robot, seen, asking.call)
-            made: dict[Choice, None] = {}
-            for _ in asking.ways():
+            made: dict[RobotStep, None] = {}
+            for _ in asking.runs():
                 done = rt.run(self.code, init, self.code.begin(frame))
                 if isinstance(done, rt.Fault):
-                    self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+                    self.discards.append(DiscardedEvent(pid, -1, fleet[pid], seen, done.line, done.reason))
                 else:
                     made[self._noted(-1, pid, fleet[pid], seen, done)] = None
             found = [self.applied(after, pid, choice) for after in found for choice in made]
         return found
 
-    def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
-        """A fleet after one robot's event, all of its writes together."""
+    def applied(self, fleet: Packed, pid: int, choice: RobotStep) -> Packed:
+        """Return a fleet after one robot's event; all its writes take effect together."""
         made = list(fleet)
         made[pid], made[self.n_sys + pid] = choice.own, choice.slots
         if choice.cells != self.nothing:
@@ -226,12 +240,14 @@ class Machine:
         return tuple(made)
 
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
-        """Locals whose cells are of these classes from now on."""
+        """Use these classes for the cells of locals from now on."""
         self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
-    def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
-        """What guards look at. They write nothing, so that it is one object, of which only what differs is put in."""
+    def _looking(self, pid: int, robot: PrivateState, seen: Packed, call: Call) -> Any:
+        """Return the transaction on which guards are evaluated.
+
+        Guards write nothing, so one object is reused, and only the differences are stored in it."""
         if self._look is None:
             self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
         look: Any = self._look
@@ -254,25 +270,25 @@ class Machine:
         look.pid, look.call = pid, call
         return look
 
-    def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
-        """What a robot knows at an event."""
+    def frame(self, pid: int, robot: PrivateState, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
+        """Return the variables that an event of a robot can read."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
-    def own(self, robot: Own) -> int:
-        """The number of what one robot has to itself."""
+    def own(self, robot: PrivateState) -> int:
+        """Return the number of a private state."""
         own = tuple([self.key(v.name, robot.locals[v.name]) for v in self.program.locals])
         return self.owns.number((own, self.ports_key(robot), robot.stopped), robot)
 
-    def ports_key(self, robot: Own) -> Hashable:
-        """What tells a robot's ports apart."""
+    def ports_key(self, robot: PrivateState) -> Hashable:
+        """Return a key that differs for different values of a robot's ports."""
         sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
         return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
 
     def packed(self, state: State) -> Packed:
-        """A state of the semantics, in which nothing was commanded yet."""
+        """Pack a state of the semantics in which no command was given yet."""
         robots = [self.own(self._own(robot)) for robot in state.robots]
         slots = [
             self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
@@ -282,7 +298,7 @@ class Machine:
         return (*robots, *slots, self._cell_number(cells))
 
     def state(self, fleet: Packed, number: int = 1) -> State:
-        """A packed fleet as the semantics has it, before round `number`."""
+        """Return a packed fleet as a state of the semantics, before round `number`."""
         robots = []
         for own in fleet[: self.n_sys]:
             held = self.owns.values[own]
@@ -296,26 +312,28 @@ class Machine:
         cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
 
-    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> Choice:
-        """The choice that an event's effects are; a loop invariant that was false in it is put among the discards."""
+    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> RobotStep:
+        """Return the step with an event's effects.
+
+        A loop invariant that was false in it is added to the discards."""
         choice = self._choice(index, pid, self.owns.values[own], seen, done)
         for line in done.violated[:1]:
             reason = f"the loop invariant on line {line} is false or has no value"
-            self.discards.append(Discard(pid, index, own, seen, line, reason, choice))
+            self.discards.append(DiscardedEvent(pid, index, own, seen, line, reason, choice))
         return choice
 
-    def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
+    def _choice(self, index: int, pid: int, robot: PrivateState, seen: Packed, done: rt.Effects) -> RobotStep:
         cleared = {sensor: False for name in done.actuators for sensor in self._clears.get(name, ())}
         sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
         actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
-        own = self.own(Own(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
+        own = self.own(PrivateState(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
         slots = seen[pid]
         if any(name in done.shared for name in self.allread):
             held = zip(self.allread, self.slots.values[slots], strict=True)
             slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
         cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
         key = tuple([(name, self.key(name, value)) for name, value in cells.items()])
-        return Choice(index, own, slots, self.writes.number(key, cells))
+        return RobotStep(index, own, slots, self.writes.number(key, cells))
 
     def _cells(self, before: int, writes: int) -> int:
         found = self._written.get((before, writes))
@@ -333,15 +351,15 @@ class Machine:
         return self.slots.number(tuple(map(self.key, self.allread, values)), values)
 
     def key(self, name: str, value: Any) -> Hashable:
-        """0.0 and -0.0 are equal, and no program need treat them alike."""
+        """Return a key of a value. A program may distinguish 0.0 from -0.0, so floats are keyed by their text."""
         key: Hashable = repr(value) if with_floats(self.types[name]) else value
         return key
 
-    def _own(self, robot: Robot) -> Own:
+    def _own(self, robot: Robot) -> PrivateState:
         ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
         locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
         sensors = {name: ports[name] for name in self.sensors}
-        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
+        return PrivateState(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
 
     def _taken(self, name: str, value: Any) -> Any:
         return python_value(value, self.types[name], self.scope, self.names)
@@ -351,8 +369,7 @@ class Machine:
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
-    """Return the class of transactions that are as those of `begin`, but that cells of these locals are of these
-    classes."""
+    """Return a subclass of the transactions `begin` in which the cells of some locals have other classes."""
 
     class Watching(begin):  # type: ignore[misc,valid-type]
         def local(self, name: str) -> rt.Cell[Any]:
@@ -371,7 +388,7 @@ def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
             raise CannotCall(f"{missing}, which has the extern functions, is not there")
         load(program, functions)
     name = f"explored{next(_numbers)}"
-    module = sys.modules[name] = ModuleType(name)  # where annotations of records are looked up
+    module = sys.modules[name] = ModuleType(name)  # annotations of records are resolved in it
     scope: dict[str, Any] = vars(module)
     scope["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), scope)

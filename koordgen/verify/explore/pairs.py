@@ -1,8 +1,8 @@
-"""Invariants that speak of one robot, or of two, at a time: told for each pair of robots once, whatever the others do.
+"""Invariants about one robot or a pair of robots, evaluated once for each robot and pair.
 
-`forall i in ID: ...` and `forall i, j in ID: ...`, where the formula reads of robots nothing but those two's, is true
-of a fleet when it is true of each of its robots and pairs. What is remembered is whether all such invariants hold of
-one robot, or of two, each known by its own and its slots, with the allwrite variables.
+`forall i in ID: ...` and `forall i, j in ID: ...`, whose formula reads no other robot, is true of a fleet if it is true
+of each robot and pair. The result for all such invariants is memoised for each robot and pair, identified by private
+states, slots and the allwrite variables.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from koordgen.runtime.values.turns import begin
 from koordgen.verify.explore.machine import Machine, Packed
 
 
-class Spread(NamedTuple):
-    """A formula by the robots that it is about, one or two names; whether it reads their pids as numbers."""
+class PairFormula(NamedTuple):
+    """A formula about robots with one or two names. `numbers`: whether it reads their pids as numbers."""
 
     names: tuple[str, ...]
     body: ir.Expr
     numbers: bool
 
 
-def spread(formula: ir.Expr) -> Spread | None:
-    """The formula, if it is of that kind."""
+def pair_formula(formula: ir.Expr) -> PairFormula | None:
+    """Return the parts of a formula about one robot or a pair; None for any other formula."""
     names, body = [], formula
     while isinstance(body, ir.Quantified) and body.kind == "forall" and isinstance(body.domain, ir.Ids):
         names.append(body.name)
@@ -50,14 +50,16 @@ def spread(formula: ir.Expr) -> Spread | None:
                 numbers += 1
             case _:
                 pass
-    return Spread(tuple(names), body, numbers > indices)
+    return PairFormula(tuple(names), body, numbers > indices)
 
 
-class Pairs:
-    """Those invariants of one machine. `take` puts a fleet's values where compiled formulas read them."""
+class PairInvariants:
+    """Invariants about robots and pairs of one machine.
+
+    `take` stores a fleet's values where formulas read them."""
 
     def __init__(
-        self, machine: Machine, formulas: Sequence[Spread], fleet: object, take: Callable[[Packed], None]
+        self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, take: Callable[[Packed], None]
     ) -> None:
         self._fleet, self._take = fleet, take
         self._numbers = any(f.numbers for f in formulas)
@@ -67,7 +69,7 @@ class Pairs:
         self._known: dict[Packed, bool] = {}
 
     def hold(self, fleet: Packed) -> bool:
-        """Whether all are true."""
+        """Return whether all of these invariants hold."""
         if not self._one and not self._two:
             return True
         n_sys, known, cells = self._n_sys, self._known, fleet[-1]
@@ -98,11 +100,11 @@ class Pairs:
             return (i != j or all(holds(self._fleet, i) for holds in self._one)) and all(
                 holds(self._fleet, i, j) for holds in self._two
             )
-        except Exception:  # whatever functions of the user's raise
+        except Exception:  # functions of the user may raise anything
             return False
 
 
-def _compiled(formula: Spread, machine: Machine) -> Callable[..., bool]:
+def _compiled(formula: PairFormula, machine: Machine) -> Callable[..., bool]:
     names = ", ".join([machine.names.temp(name) for name in formula.names])
     body = f"def invariant(s, {names}):\n    return {expr.text(formula.body, machine.names)}\n"
     imports = "\n".join([line for group in library.imports(machine.names.used) for line in group])

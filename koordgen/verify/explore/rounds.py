@@ -1,11 +1,11 @@
-"""Every end of a round's program step, from a packed fleet: what each robot may do, in every order that matters.
+"""Ends of a round's program step from a packed fleet, in every order of events that matters.
 
-A plain event reads the store of the round's start, so it does the same wherever in the round it comes. Two events of
-two robots commute unless both write one allwrite variable, or one of them is atomic and reads what the other writes
-(a slot has one writer). Guards that have priority over an event are read at the round's start, so they conflict with
-nothing. Events that commute with all others form the first phase, in which robots step by ascending
-pid; the others form one phase for each group that is linked by such conflicts, in which every order is tried. Any
-order of a round can be sorted into this one by exchanging neighbours that commute, so nothing is lost.
+Partial-order reduction: a plain event reads the store of the round's start, so its position in the round does not
+matter. Two events of two robots commute unless both write one allwrite variable, or one of them is atomic and reads
+what the other writes (a slot has one writer). Guards that have priority over an event are read at the round's start, so
+they conflict with nothing. Events that commute with all others form the first phase, in which robots step by ascending
+pid. The others form one phase for each group that is connected by conflicts, in which every order is tried. Any order
+of a round can be sorted into this order by exchanging neighbours that commute, so no end is lost.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
-from koordgen.verify.explore.machine import Choice, Machine, Packed
+from koordgen.verify.explore.machine import Machine, Packed, RobotStep
 
-Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
-Came = tuple[Node, int, int]  # from where, by which robot, by which event
+Node = tuple[int, Packed]  # bit mask of the robots that have stepped, and the fleet after their steps
+Predecessor = tuple[Node, int, int]  # predecessor, pid and event of the step from it
 
 
-class Phase(NamedTuple):
-    """Events by index: those that read nothing shared but their robot's own slots, other plain ones, other atomic ones;
-    whether the order of robots makes a difference. `ranked`: some event has another one before it in its `priority:`
-    block."""
+class EventPhase(NamedTuple):
+    """Events of one phase, by index.
+
+    `alone`: events that read nothing shared but their robot's own slots; `plain`: other plain events; `atomic`: other
+    atomic events. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
+    `priority:` block."""
 
     alone: tuple[int, ...]
     plain: tuple[int, ...]
@@ -33,9 +35,10 @@ class Phase(NamedTuple):
     ranked: bool
 
 
-def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
-    """All events but `idle` ones, by groups that commute with one another. Without `independence` one group in every
-    order."""
+def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
+    """Return all events but `idle` ones, in phases that commute with one another.
+
+    Without `independence`, all events are in one phase that is explored in every order."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
@@ -59,11 +62,11 @@ def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()
     return ((_phase(program, free, False),) if free else ()) + tuple(bound)
 
 
-def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
+def _phase(program: decl.Program, events: list[int], ordered: bool) -> EventPhase:
     alone = tuple([e for e in events if _reads_alone(program, program.events[e])])
     plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
     atomic = tuple([e for e in events if e not in alone and e not in plain])
-    return Phase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
+    return EventPhase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
 
 
 def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
@@ -80,7 +83,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
-    """The shared variables that an event reads as they are when it runs, and those that it may write."""
+    """Return the shared variables that an event reads at the time of its run, and those that it may write."""
     reads, writes = set(), set()
     for node in walk((event.guard, event.effect)):
         match node:
@@ -93,27 +96,31 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
     return reads, writes
 
 
-class Rounds:
-    """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
-    once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
-    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: only rounds that
-    agents can do (`is_order_of_agents` of the semantics)."""
+class RoundExplorer:
+    """Rounds of one machine.
+
+    A robot's choices are computed once for each private state and store; if robots are `alike`, once for all orders of
+    the others' slots. `representative` returns that of a robot's private state after its step, given its pid and the
+    store; nobody reads that state before the round's end. `as_agents`: only rounds that agents can execute
+    (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
-        stands: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
+        representative: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
     ) -> None:  # fmt: skip
-        self.machine, self.alike, self.stands, self.as_agents = machine, alike, stands, as_agents
+        self.machine, self.alike, self.representative, self.as_agents = machine, alike, representative, as_agents
         self.phases = phases(machine.program, independence, idle)
-        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[Choice, ...]] = {}
+        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[RobotStep, ...]] = {}
         self._prior: dict[tuple[tuple[int, ...], int, int, Packed], tuple[int, ...]] = {}
-        self._alone: dict[Packed, tuple[Choice, ...]] = {}
+        self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
-        """Every fleet that the program's step may leave, skipping included, with who has stepped; the first is that of
-        which nobody has. Every fleet within a round is among them: those who have not stepped yet may skip."""
+        """Return every possible end of the program's step, with the robots that have stepped.
+
+        Robots may skip. The first end is that in which no robot has stepped. Every fleet within a round is among the
+        ends, since the other robots may skip."""
         if self.as_agents:
-            return self.ways(fleet)
+            return self.ends_with_predecessors(fleet)
         found: list[Node] = [(0, fleet)]
         n_sys = self.machine.n_sys
         begun = fleet[n_sys:]
@@ -124,7 +131,7 @@ class Rounds:
                 for pid in range(n_sys):
                     found += self._of_one(found, number, pid, begun)
             else:
-                for pid in range(n_sys):  # who has not stepped is as at the round's start
+                for pid in range(n_sys):  # a robot that has not stepped is as at the round's start
                     if choices := self._choices(number, pid, fleet, begun):
                         found += self._all_of_one(found, pid, choices)
         return found
@@ -137,7 +144,7 @@ class Rounds:
             for choice in self._choices(number, pid, at, begun)
         ]
 
-    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[Choice, ...]) -> list[Node]:
+    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[RobotStep, ...]) -> list[Node]:
         bit, slot, machine = 1 << pid, self.machine.n_sys + pid, self.machine
         new = []
         for mask, at in found:
@@ -154,7 +161,7 @@ class Rounds:
         seen = dict.fromkeys(found)
         pending = list(seen)
         robots = range(self.machine.n_sys)
-        for mask, at in pending:  # grows meanwhile
+        for mask, at in pending:  # grows within the loop
             for pid in robots:
                 if not mask >> pid & 1:
                     for choice in self._choices(number, pid, at, begun):
@@ -164,16 +171,16 @@ class Rounds:
                             pending.append(node)
         return pending
 
-    def ways(self, fleet: Packed) -> dict[Node, Came | None]:
-        """The same, each with how it came about."""
+    def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
+        """Return the ends of the round, each with the step that led to it."""
         if self.as_agents:
             return self._ways_of_agents(fleet)
-        found: dict[Node, Came | None] = {(0, fleet): None}
+        found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
             if phase.ordered:
                 pending = list(found)
-                for node in pending:  # grows meanwhile
+                for node in pending:  # grows within the loop
                     for pid in range(self.machine.n_sys):
                         pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
             else:
@@ -182,11 +189,13 @@ class Rounds:
                         self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
         return found
 
-    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Came | None]:
-        """Commits, one at most for each lock, then plain events by ascending pid; all on the round's start, since no
-        commit writes what one under another lock reads."""
+    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
+        """Return the ends of rounds in the agents' order.
+
+        Commits come first, at most one for each lock, then plain events by ascending pid. All events read the round's
+        start, since no commit writes what a commit under another lock reads."""
         machine, events = self.machine, self.machine.program.events
-        found: dict[Node, Came | None] = {(0, fleet): None}
+        found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]
         first = {pid: machine.first(pid, fleet[pid], begun) for pid in range(machine.n_sys)}
         chosen = {pid: event for pid, event in first.items() if event is not None}
@@ -201,8 +210,10 @@ class Rounds:
                     self._stepped(found, pid, node, choices)
         return found
 
-    def _stepped(self, found: dict[Node, Came | None], pid: int, node: Node, choices: tuple[Choice, ...]) -> list[Node]:
-        """What one robot's step adds, if it has taken none."""
+    def _stepped(
+        self, found: dict[Node, Predecessor | None], pid: int, node: Node, choices: tuple[RobotStep, ...]
+    ) -> list[Node]:
+        """Apply one robot's choices to a node, unless the robot has stepped. Return the new nodes."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
@@ -214,9 +225,9 @@ class Rounds:
                 added.append(following)
         return added
 
-    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[Choice, ...]:
+    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[RobotStep, ...]:
         phase, slot = self.phases[number], self.machine.n_sys + pid
-        found: tuple[Choice, ...] = ()
+        found: tuple[RobotStep, ...] = ()
         if phase.alone:
             key = (number, pid, fleet[pid], fleet[slot])
             known = self._alone.get(key)
@@ -233,7 +244,7 @@ class Rounds:
         return found
 
     def _having_priority(
-        self, phase: Phase, events: tuple[int, ...], pid: int, own: int, begun: Packed
+        self, phase: EventPhase, events: tuple[int, ...], pid: int, own: int, begun: Packed
     ) -> tuple[int, ...]:
         if not phase.ranked:
             return events
@@ -247,7 +258,7 @@ class Rounds:
             self._prior[key] = found
         return found
 
-    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
         key = (events, pid, own, seen)
         found = self._known.get(key)
         if found is None:
@@ -260,13 +271,19 @@ class Rounds:
         return found
 
     def _found(
-        self, known: dict[Any, tuple[Choice, ...]], key: Any, events: tuple[int, ...], pid: int, own: int, seen: Packed
-    ) -> tuple[Choice, ...]:
+        self,
+        known: dict[Any, tuple[RobotStep, ...]],
+        key: Any,
+        events: tuple[int, ...],
+        pid: int,
+        own: int,
+        seen: Packed,
+    ) -> tuple[RobotStep, ...]:
         discards = len(self.machine.discards)
         found = self.machine.choices(events, pid, own, seen)
-        if self.stands is not None:
-            found = tuple([c._replace(own=self.stands(pid, c.own, _with(seen, pid, c.slots))) for c in found])
-        if len(self.machine.discards) == discards:  # what is discarded is told anew each time
+        if self.representative is not None:
+            found = tuple([c._replace(own=self.representative(pid, c.own, _with(seen, pid, c.slots))) for c in found])
+        if len(self.machine.discards) == discards:  # discarded events must be reported each time
             known[key] = found
         return found
 
@@ -279,8 +296,8 @@ def _with(seen: Packed, pid: int, slots: int) -> Packed:
     return (*seen[:pid], slots, *seen[pid + 1 :])
 
 
-def steps(found: dict[Node, Came | None], node: Node) -> list[tuple[int, int, Packed]]:
-    """How a round came to a node: robot, event and the fleet after it, in their order."""
+def steps_to(found: dict[Node, Predecessor | None], node: Node) -> list[tuple[int, int, Packed]]:
+    """Return the steps of a round to a node, in their order: robot, event and the fleet afterwards."""
     taken: list[tuple[int, int, Packed]] = []
     while (came := found[node]) is not None:
         before, pid, event = came

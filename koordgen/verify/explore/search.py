@@ -1,4 +1,7 @@
-"""Breadth first over all that a fleet can come to, round by round: a violation found is one of fewest rounds."""
+"""Breadth-first search of the state space, round by round.
+
+A violation that is found has the fewest rounds.
+"""
 
 from __future__ import annotations
 
@@ -12,31 +15,33 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.property import holds_property
 from koordgen.lang.semantics.step import initial
-from koordgen.verify.explore.environment import Surroundings
-from koordgen.verify.explore.forget import Forgetting, Unread
+from koordgen.verify.explore.environment import EnvironmentSteps
 from koordgen.verify.explore.invariants import Invariants
-from koordgen.verify.explore.machine import Choice, Discard, Machine, Packed
-from koordgen.verify.explore.rounds import Came, Node, Rounds, steps
-from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
-from koordgen.verify.prove.report.model import Conjunct, failing
-from koordgen.verify.prove.report.reach import Moment
+from koordgen.verify.explore.machine import DiscardedEvent, Machine, Packed, RobotStep
+from koordgen.verify.explore.reduction import StateReduction, VariableRead
+from koordgen.verify.explore.rounds import Node, Predecessor, RoundExplorer, steps_to
+from koordgen.verify.explore.symmetry import asymmetry, sorted_robots
+from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
+from koordgen.verify.prove.report.reach import RunState
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # prefix of a loop invariant's name; its line follows
-SHOWN = 0.25  # seconds from one view of the progress to the next
+LOOP = "line "  # prefix of the name of a loop invariant; its line follows
+SHOWN = 0.25  # seconds between two reports of the progress
 
 
-class Bounds(NamedTuple):
-    """How far to go; None: to the end."""
+class ExplorationBounds(NamedTuple):
+    """Limits of an exploration; None: no limit."""
 
     rounds: int | None = None
     states: int | None = None
     seconds: float | None = None
 
 
-class Progress(NamedTuple):
-    """How far it has come: rounds that are explored whole, different states at rounds' ends, those of them whose rounds
-    are still to be explored, program steps taken, seconds."""
+class ExplorationProgress(NamedTuple):
+    """Progress of an exploration.
+
+    `depth`: completely explored rounds; `states`: different states at rounds' ends; `waiting`: those whose rounds are
+    still to be explored; `steps`: program steps taken; `seconds`: time spent."""
 
     depth: int
     states: int
@@ -45,29 +50,33 @@ class Progress(NamedTuple):
     seconds: float
 
 
-class Violation(NamedTuple):
-    """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
-    where nothing is, `reason` says what is wrong, and `culprit` is the event (or init) without a result that would come
-    next. `of_agents`: agents can do each round of it (`is_order_of_agents`); `shortest`: where that takes more rounds
-    than the language needs, how many those are."""
+class FoundViolation(NamedTuple):
+    """A violation with its run.
+
+    `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the conjunct that is false in the last
+    state; without one `reason` explains the violation, and `culprit` is the event (or init) without a result that would
+    come next. `of_agents`: agents can execute each round (`is_order_of_agents`). `shortest`: the fewest rounds in the
+    language's order, if the agents' order needs more."""
 
     name: str
     line: int
-    moments: tuple[Moment, ...]
+    run_states: tuple[RunState, ...]
     failed: Conjunct | None
     reason: str
-    culprit: Moment | None = None
+    culprit: RunState | None = None
     of_agents: bool = True
     shortest: int | None = None
 
 
-class Result(NamedTuple):
-    """`stopped` says what ended it before all was explored, empty where all was; `unseen` are the events that no robot
-    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike,
-    `forgotten` the locals that nobody reads."""
+class ExplorationResult(NamedTuple):
+    """Result of an exploration.
 
-    violation: Violation | None
-    progress: Progress
+    `stopped`: the reason why it ended early; empty if everything was explored. `unseen`: events that were never
+    enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry is not used.
+    `forgotten`: locals that nobody reads."""
+
+    violation: FoundViolation | None
+    progress: ExplorationProgress
     stopped: str
     unseen: tuple[decl.Event, ...]
     unchecked: tuple[str, ...]
@@ -75,54 +84,58 @@ class Result(NamedTuple):
     forgotten: tuple[str, ...]
 
 
-class _Anew(Exception):
-    """The search begins again, with less forgotten."""
+class _Restart(Exception):
+    """The search must restart with fewer reductions."""
 
 
-class _Over(Exception):
-    """A bound is reached; the message says which."""
+class _LimitReached(Exception):
+    """A limit is reached; the message says which."""
 
 
 class Search:
-    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `as_agents`: only rounds
-    that agents can do; then who is who counts, and every event may stand before another one, so nothing is forgotten.
-    `run` raises Lacking."""
+    """One exploration.
+
+    `clock` returns seconds; `show` receives the progress from time to time. `as_agents`: only rounds that agents can
+    execute. Pids then matter, and every event may stand before another one, so neither symmetry nor reduction is used.
+    `run` raises MissingEnvironment."""
 
     def __init__(
-        self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
-        show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
-        forgetting: bool = True, as_agents: bool = False,
+        self, machine: Machine, around: EnvironmentSteps, bounds: ExplorationBounds, clock: Callable[[], float],
+        show: Callable[[ExplorationProgress], None], symmetry: bool = True, independence: bool = True,
+        deadlock: bool = True, forgetting: bool = True, as_agents: bool = False,
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
         self.invariants = Invariants(machine)
         alike = symmetry and not as_agents
-        self.apart = (around.apart or distinguishes(machine.program)) if alike else "it is switched off"
+        self.apart = (around.apart or asymmetry(machine.program)) if alike else "it is switched off"
         self.independence, self.deadlock, self.as_agents = independence, deadlock, as_agents
-        self.forgetting = Forgetting(machine) if forgetting and not as_agents else None
+        self.forgetting = StateReduction(machine) if forgetting and not as_agents else None
         self._fresh()
 
     def _fresh(self) -> None:
-        """Nothing is explored yet."""
-        idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
-        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands, self.as_agents)
-        # of robots as they really are
-        self.exact = Rounds(self.machine, self.independence, idle, as_agents=self.as_agents)
-        self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
-        self.within: set[Packed] = set()  # states before the environment's step that were looked at
-        self.begin: dict[Packed, Packed] = {}  # those after init, with those before
-        self._then: dict[Packed, tuple[int, ...]] = {}  # what stands for a robot's own after the environment's step
-        self.lively: set[Packed] = set()  # where no event is enabled, but some will be
+        """Reset everything that was explored."""
+        idle, representative = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
+        self.rounds = RoundExplorer(
+            self.machine, self.independence, idle, not self.apart, representative, self.as_agents
+        )
+        # without reductions, for the runs that are shown
+        self.exact = RoundExplorer(self.machine, self.independence, idle, as_agents=self.as_agents)
+        self.known: dict[Packed, Packed | None] = {}  # state at a round's end -> a state at the end of the round before
+        self.within: set[Packed] = set()  # explored states before the environment's step
+        self.begin: dict[Packed, Packed] = {}  # state after init -> state before it
+        self._then: dict[Packed, tuple[int, ...]] = {}  # representatives of private states after the environment's step
+        self.live: set[Packed] = set()  # states from which some event will be enabled, though none is now
         self.stuck = 0
         self.steps = self.depth = 0
         self.waiting = 0
 
-    def run(self) -> Result:
-        """All of it."""
+    def run(self) -> ExplorationResult:
+        """Explore, until everything is explored or a limit is reached."""
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
             violation, stopped = self._settled()
-        except _Over as over:
+        except _LimitReached as over:
             stopped = str(over)
         except OutOfTime:  # within one event, or one round
             stopped = self._bound_of_time()
@@ -133,32 +146,32 @@ class Search:
         unseen = [e for i, e in enumerate(self.machine.program.events) if i not in self.machine.enabled]
         forgotten = self.forgetting.locals if self.forgetting else ()
         unchecked = self.invariants.unchecked
-        return Result(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
+        return ExplorationResult(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
-    def _settled(self) -> tuple[Violation | None, str]:
-        """A search that forgot nothing that matters."""
+    def _settled(self) -> tuple[FoundViolation | None, str]:
+        """Repeat the search, with fewer reductions each time, until all of them are justified."""
         while True:
             try:
                 return self._explored()
-            except Unread as read:
+            except VariableRead as read:
                 assert self.forgetting is not None
                 self.forgetting.keep(read.name)
-            except _Anew:
+            except _Restart:
                 self.machine.watch({})
                 self.forgetting = None
             self.machine.discards.clear()
             self._fresh()
 
-    def progress(self) -> Progress:
-        return Progress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
+    def progress(self) -> ExplorationProgress:
+        return ExplorationProgress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
 
-    def _explored(self) -> tuple[Violation | None, str]:
+    def _explored(self) -> tuple[FoundViolation | None, str]:
         layer: list[Packed] = []
         for before, after in self._starts():
             alike = self.alike(after)
             if self.machine.discards:
-                moments = [Moment(self.machine.state(before, 0), "", None, 0)]
-                return self._discarded(self.machine.discards[0], moments, before, 0), ""
+                run_states = [RunState(self.machine.state(before, 0), "", None, 0)]
+                return self._discarded(self.machine.discards[0], run_states, before, 0), ""
             if alike not in self.begin:
                 self.begin[alike], self.known[alike] = before, None
                 layer.append(alike)
@@ -181,16 +194,16 @@ class Search:
         self.waiting = 0
         return None, ""
 
-    def _round(self, fleet: Packed, following: list[Packed]) -> Violation | None:
-        """One round from one state; new ones go into `following`."""
+    def _round(self, fleet: Packed, following: list[Packed]) -> FoundViolation | None:
+        """Explore one round from one state, and add new states to `following`."""
         found = self.rounds.ends(fleet)
         self.steps += len(found) - 1
         if self.machine.discards:
             return self._discarded_in(fleet)
         if self.deadlock and len(found) == 1 and self._dead(fleet):
             if self.forgetting:
-                raise _Anew
-            return Violation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
+                raise _Restart
+            return FoundViolation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
         for _, fleet_then in found:
             end = self._sorted(fleet_then)
             if end in self.within:
@@ -212,11 +225,11 @@ class Search:
         return None
 
     def alike(self, fleet: Packed) -> Packed:
-        """The one that stands for a fleet."""
+        """Return the representative of a fleet."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
 
     def _moved(self, end: Packed) -> Iterator[Packed]:
-        """What stands for the fleets after the environment's step."""
+        """Return the representatives of the fleets after the environment's step."""
         if self.forgetting is None or not self.machine.sensors:
             return self.around.moved(end)
         n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
@@ -235,7 +248,7 @@ class Search:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
-        """Fleets before init and after it."""
+        """Yield fleets before init, each with one after it."""
         program, machine = self.machine.program, self.machine
         rules = [p for p in program.properties if p.kind == "initially"]
         for sensors in self.around.starts():
@@ -246,117 +259,123 @@ class Search:
                 allowed = False
             if allowed:
                 before = machine.packed(state)
-                begun = machine.begun(before)
-                yield from [(before, after) for after in begun] if not machine.discards else [(before, before)]
+                after_init = machine.after_init(before)
+                yield from [(before, after) for after in after_init] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
-        """Shows the progress. Raises _Over where a bound ends the search."""
+        """Report the progress when due. Raises _BoundReached."""
         now = self.clock()
         if now > self.shown + SHOWN:
             self.shown = now
             self.show(self.progress())
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
-            raise _Over(self._bound_of_time())
+            raise _LimitReached(self._bound_of_time())
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+            raise _LimitReached(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
 
     def _bound_of_time(self) -> str:
         return f"the bound of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
-        """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
+        """Return whether no event will ever be enabled, whatever the environment does, though some robot runs."""
         owns = self.machine.owns.values
         if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
             return False
         seen, pending = {fleet}, [fleet]
-        for state in pending:  # grows meanwhile
-            if state in self.lively or len(self.rounds.ends(state)) > 1 or self.machine.discards:
-                self.machine.discards.clear()  # they are met again where that state's round is explored
-                self.lively.add(fleet)
+        for state in pending:  # grows within the loop
+            if state in self.live or len(self.rounds.ends(state)) > 1 or self.machine.discards:
+                self.machine.discards.clear()  # they occur again when that state's round is explored
+                self.live.add(fleet)
                 return False
             new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
             seen.update(new)
             pending += dict.fromkeys(new)
         return True
 
-    def _run_to(self, fleet: Packed) -> list[Moment]:
-        """How a state at a round's end came about, by the robots that really took the steps."""
+    def _run_to(self, fleet: Packed) -> list[RunState]:
+        """Return a run to a state at a round's end, with the real robots of each step."""
         return self._way_to(fleet)[0]
 
-    def _way_to(self, fleet: Packed) -> tuple[list[Moment], Packed]:
-        """The same, with the fleet to which it leads."""
+    def _way_to(self, fleet: Packed) -> tuple[list[RunState], Packed]:
+        """Return a run to a state at a round's end, and the fleet in which it ends."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
         before = self.begin[chain[-1]]
-        at = next(after for after in self.machine.begun(before) if self.alike(after) == chain[-1])
-        moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
+        at = next(after for after in self.machine.after_init(before) if self.alike(after) == chain[-1])
+        run_states = [
+            RunState(self.machine.state(before, 0), "", None, 0),
+            RunState(self.machine.state(at), "init", None, 0),
+        ]
         for number, target in enumerate(reversed(chain[:-1]), 1):
-            at = self._step_to(moments, at, target, number)
-        return moments, at
+            at = self._step_to(run_states, at, target, number)
+        return run_states, at
 
-    def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
-        """One round's moments, to a fleet that `target` stands for; yields that fleet."""
-        found = self.exact.ways(at)
+    def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
+        """Append one round's states that leads to a fleet with the representative `target`. Return that fleet."""
+        found = self.exact.ends_with_predecessors(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
                 if self.alike(moved) == target:
-                    moments += self._taken(found, node, number)
+                    run_states += self._taken(found, node, number)
                     if self.machine.sensors:
-                        moments.append(Moment(self.machine.state(moved, number + 1), "(environment)", None, number))
+                        run_states.append(
+                            RunState(self.machine.state(moved, number + 1), "(environment)", None, number)
+                        )
                     return moved
         raise InternalError("a state that was explored has no parent that leads to it")
 
-    def _within(self, fleet: Packed, end: Packed) -> list[Moment]:
-        """A run to a state that goes on to a fleet within the round, which `end` stands for."""
-        moments, at = self._way_to(fleet)
-        number = moments[-1].round + 1
-        found = self.exact.ways(at)
+    def _within(self, fleet: Packed, end: Packed) -> list[RunState]:
+        """Return a run that ends within the round after `fleet`, in a fleet with the representative `end`."""
+        run_states, at = self._way_to(fleet)
+        number = run_states[-1].round + 1
+        found = self.exact.ends_with_predecessors(at)
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
-        return [*moments, *self._taken(found, node, number)]
+        return [*run_states, *self._taken(found, node, number)]
 
-    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[Moment]:
-        for pid, event, fleet in steps(found, node):
-            yield Moment(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
+    def _taken(self, found: dict[Node, Predecessor | None], node: Node, number: int) -> Iterator[RunState]:
+        for pid, event, fleet in steps_to(found, node):
+            yield RunState(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
-    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> Moment:
-        """The moment after an event in which a loop invariant is false."""
+    def _false_in(self, found: DiscardedEvent, choice: RobotStep, event: str, at: Packed, number: int) -> RunState:
+        """Return the state after an event in which a loop invariant is false."""
         machine = self.machine
         if found.event < 0:  # the others run init, too
-            begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
-            return Moment(machine.state(begun), event, None, 0)
-        return Moment(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
+            after_init = next(fleet for fleet in machine.after_init(at) if fleet[found.pid] == choice.own)
+            return RunState(machine.state(after_init), event, None, 0)
+        return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
-    def _broken(self, moments: list[Moment]) -> Violation:
-        """The invariant that is false at the last moment, by the executable semantics."""
-        program, state = self.machine.program, moments[-1].state
+    def _broken(self, run_states: list[RunState]) -> FoundViolation:
+        """Return the violation of the invariant that is false in the last state, by the semantics."""
+        program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
-            if failed := failing(property_, program, state):
-                return Violation(property_.name, property_.span.line, tuple(moments), failed, "")
+            if failed := failing_conjunct(property_, program, state):
+                return FoundViolation(property_.name, property_.span.line, tuple(run_states), failed, "")
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
-    def _discarded_in(self, fleet: Packed) -> Violation:
-        """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
-        steps before it."""
-        moments, at = self._way_to(fleet)
-        number = moments[-1].round + 1
+    def _discarded_in(self, fleet: Packed) -> FoundViolation:
+        """Return the violation of an event without a result in a round from `fleet`.
+
+        The round is explored again with the real robots of each step."""
+        run_states, at = self._way_to(fleet)
+        number = run_states[-1].round + 1
         self.machine.discards.clear()
-        found = self.exact.ways(at)
-        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, moments[-1].round + 1
+        found = self.exact.ends_with_predecessors(at)
+        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, run_states[-1].round + 1
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
-            moments += self._taken(found, node, number)
+            run_states += self._taken(found, node, number)
             at = node[1]
-        return self._discarded(discard, moments, at, number)
+        return self._discarded(discard, run_states, at, number)
 
-    def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
-        """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
+    def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
+        """Return the violation of an event in the fleet `at`, in round `number` after `run_states`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
-            moments.append(self._false_in(found, found.choice, event, at, number))
+            run_states.append(self._false_in(found, found.choice, event, at, number))
             reason = f"{found.reason} in {event} of robot {found.pid}"
-            return Violation(f"{LOOP}{found.line}", found.line, tuple(moments), None, reason)
+            return FoundViolation(f"{LOOP}{found.line}", found.line, tuple(run_states), None, reason)
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
-        culprit = Moment(moments[-1].state, event, found.pid, number)
-        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, culprit)
+        culprit = RunState(run_states[-1].state, event, found.pid, number)
+        return FoundViolation(WELL_DEFINED, found.line, tuple(run_states), None, reason, culprit)

@@ -1,4 +1,4 @@
-"""What an exploration found, as people read it, as data, and as files that other tools read."""
+"""Result of an exploration as text, as data, and as files for other tools."""
 
 from __future__ import annotations
 
@@ -10,23 +10,37 @@ from typing import Any
 from koordgen.lang.ir import decl
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
-from koordgen.verify.prove.report.spell import spelled
-from koordgen.verify.prove.report.table import WIDTH, failed_lines, moment_lines, moments_data, order_told, own
-from koordgen.verify.prove.report.trace import About, run_trace
+from koordgen.verify.explore.search import (
+    DEADLOCK,
+    LOOP,
+    WELL_DEFINED,
+    ExplorationProgress,
+    ExplorationResult,
+    FoundViolation,
+)
+from koordgen.verify.prove.report.koord_text import to_koord
+from koordgen.verify.prove.report.table import (
+    WIDTH,
+    agent_order_text,
+    failed_lines,
+    own,
+    run_state_lines,
+    run_states_data,
+)
+from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 
 
-def verdict(result: Result) -> str:
-    """In a word."""
+def verdict(result: ExplorationResult) -> str:
+    """Return the verdict: VIOLATED, INCONCLUSIVE or HOLDS."""
     if result.violation is not None:
         return "VIOLATED"
     return "INCONCLUSIVE" if result.stopped else "HOLDS"
 
 
-def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
-    """For people, at most 100 columns wide."""
+def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: int) -> str:
+    """Return the text for people, at most 100 columns wide."""
     lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
-    lines += _wrapped(f"{_explored(result)}; {told(result.progress)}")
+    lines += _wrapped(f"{_explored(result)}; {progress_text(result.progress)}")
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
@@ -42,21 +56,21 @@ def report(result: Result, program: decl.Program, path: str, n_sys: int) -> str:
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def told(progress: Progress) -> str:
-    """How much was looked at."""
+def progress_text(progress: ExplorationProgress) -> str:
+    """Return the text of the progress: states, steps, seconds."""
     waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
     states = f"{progress.states} state{'s' * (progress.states != 1)}"
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
 
 
-def _explored(result: Result) -> str:
+def _explored(result: ExplorationResult) -> str:
     if result.violation is None and not result.stopped:
         return f"explored completely, to depth {result.progress.depth}"
     return f"explored to depth {result.progress.depth}"
 
 
-def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
-    rounds = found.moments[-1].round
+def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
+    rounds = found.run_states[-1].round
     after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
@@ -65,13 +79,13 @@ def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
     if found.shortest is not None:
         fewer = f"the language allows it after {found.shortest}, in an order that agents do not have"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
-    yield from moment_lines(found.moments)
+    yield from run_state_lines(found.run_states)
     if found.failed is not None:
         yield from failed_lines(found.failed, "", program.path)
     else:
         place = f"  ({program.path}:{found.line})" if found.line else ""
         yield from _wrapped(f"  {found.reason}{place}")
-    yield from _wrapped(order_told(found.of_agents))
+    yield from _wrapped(agent_order_text(found.of_agents))
 
 
 def _wrapped(text: str) -> list[str]:
@@ -80,8 +94,8 @@ def _wrapped(text: str) -> list[str]:
     )
 
 
-def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any]:
-    """As JSON has it."""
+def document(result: ExplorationResult, program: decl.Program, n_sys: int) -> dict[str, Any]:
+    """Return the result for JSON."""
     found = result.violation
     return {
         "verdict": verdict(result),
@@ -99,40 +113,40 @@ def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any
     }
 
 
-def _data(found: Violation) -> dict[str, Any]:
+def _data(found: FoundViolation) -> dict[str, Any]:
     return {
         "what": found.name,
         "line": found.failed.formula.span.line if found.failed else found.line,
-        "conjunct": spelled(found.failed.formula) if found.failed else found.reason,
-        "rounds": found.moments[-1].round,
-        "shortest": found.moments[-1].round if found.shortest is None else found.shortest,
+        "conjunct": to_koord(found.failed.formula) if found.failed else found.reason,
+        "rounds": found.run_states[-1].round,
+        "shortest": found.run_states[-1].round if found.shortest is None else found.shortest,
         "order_of_agents": found.of_agents,
-        "run": moments_data(found.moments),
+        "run": run_states_data(found.run_states),
     }
 
 
-def trace(found: Violation, program: decl.Program, about: About) -> str:
+def trace(found: FoundViolation, program: decl.Program, about: RunOrigin) -> str:
     """Return the run as a trace."""
     line = found.failed.formula.span.line if found.failed else found.line
-    detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
+    detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason
     culprit = None
     if found.culprit is not None and found.culprit.pid is not None:
         culprit = found.culprit.pid, found.culprit.event
-    return run_trace(program, found.moments, (found.name, line, detail), about, culprit)
+    return run_trace(program, found.run_states, (found.name, line, detail), about, culprit)
 
 
-def itf(found: Violation, program: decl.Program) -> str:
-    """The run in the Informal Trace Format of Apalache (ADR-015), which viewers of TLA+ traces open."""
-    robots = range(len(found.moments[0].state.robots))
+def itf(found: FoundViolation, program: decl.Program) -> str:
+    """Return the run in Apalache's Informal Trace Format (ADR-015), for viewers of TLA+ traces."""
+    robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
-    names = [*own(found.moments[0].state, 0), "stopped"]
+    names = [*own(found.run_states[0].state, 0), "stopped"]
     states = []
-    for index, moment in enumerate(found.moments):
-        held = [{**own(moment.state, pid), "stopped": moment.state.robots[pid].stopped} for pid in robots]
-        state: dict[str, Any] = {"#meta": {"index": index}, "step": moment.event or "the beginning"}
-        state |= {"robot": _itf(-1 if moment.pid is None else moment.pid), "round": _itf(moment.round)}
+    for index, run_state in enumerate(found.run_states):
+        held = [{**own(run_state.state, pid), "stopped": run_state.state.robots[pid].stopped} for pid in robots]
+        state: dict[str, Any] = {"#meta": {"index": index}, "step": run_state.event or "the beginning"}
+        state |= {"robot": _itf(-1 if run_state.pid is None else run_state.pid), "round": _itf(run_state.round)}
         state |= {name: {"#map": [[_itf(pid), _itf(held[pid][name])] for pid in robots]} for name in names}
-        states.append(state | {name: _itf(moment.state.store.cells[name]) for name in cells})
+        states.append(state | {name: _itf(run_state.state.store.cells[name]) for name in cells})
     meta = {"format": "ITF", "source": program.path, "description": f"{found.name} is violated"}
     document = {"#meta": meta, "vars": ["step", "robot", "round", *names, *cells], "states": states}
     return json.dumps(document, indent=1) + "\n"

@@ -1,11 +1,11 @@
-"""Whether a program treats all robots alike, so that fleets which differ only in who is who need not be told apart.
+"""Symmetry: whether a program treats all robots alike, so that permuted fleets are equivalent.
 
-It does when nothing in it can tell one pid from another: `pid` occurs only as the index of the robot's own slot; a
-whole allread variable only where the order of its slots does not matter (`in`, `count`, `len`, and of ints `sum`,
-`min`, `max`); names that a quantifier binds to robots only as indices and where two of them are compared for equality,
-in a formula that always has a value. Then every permutation of robots maps each step of the program, of the environment
-(whose values are the same for all robots) and each property onto itself, and a fleet may stand for all of its
-permutations. Anything else, and no two robots are taken as alike: this can only cost states.
+A program is symmetric if nothing in it distinguishes one pid from another: `pid` occurs only as the index of the
+robot's own slot; a whole allread variable only where the order of its slots does not matter (`in`, `count`, `len`, and
+for ints `sum`, `min`, `max`); names that a quantifier binds to robots only as indices and where two of them are
+compared for equality, in a formula that always has a value. Then every permutation of robots maps each step of the
+program, of the environment (whose values are the same for all robots) and each property onto itself, and one fleet may
+represent all its permutations. Any other construct disables the reduction, which costs states but is never wrong.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _OF_INTS = frozenset(("sum", "min", "max"))
 _SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
 
 
-def distinguishes(program: decl.Program) -> str:
-    """What in a program tells robots apart, and its line; empty where it is symmetric."""
+def asymmetry(program: decl.Program) -> str:
+    """Return what in a program distinguishes robots, and its line; empty if the program is symmetric."""
     parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
     parts += [(a.formula, "an assumption") for m in program.modules for a in m.assumptions]
     for part, name in [*parts, *[((e.guard, e.effect), e.name) for e in program.events], (program.init, "init")]:
@@ -35,7 +35,7 @@ def distinguishes(program: decl.Program) -> str:
 
 
 def _apart(node: Part, robots: frozenset[str]) -> Span | None:
-    """Where robots are told apart; `robots` are the names that stand for one."""
+    """Return where a part distinguishes robots; `robots` are the names that stand for one."""
     match node:
         case tuple():
             return _first_apart(node, robots)
@@ -72,7 +72,9 @@ def _first_apart(parts: Iterable[Part], robots: frozenset[str]) -> Span | None:
 
 
 def _may_fail(body: expr.Expr) -> bool:
-    """Whether a formula may have no value: who comes first then decides what a quantifier over robots yields."""
+    """Return whether a formula may have no value.
+
+    If so, the order of robots decides the value of a quantifier."""
     for node in walk(body):
         match node:
             case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():
@@ -93,12 +95,12 @@ def _unordered(name: str, type_: object) -> bool:
 
 
 def _name_of_self(item: expr.Expr) -> bool:
-    """The text of `pid`: it is put out, and nobody reads it."""
+    """Return whether an item is the text of `pid`, which is put out and read by nobody."""
     return isinstance(item, expr.Builtin) and item.name == "str" and isinstance(item.args[0], expr.Pid)
 
 
 def sorted_robots(fleet: Packed) -> Packed:
-    """The one that stands for a fleet and all its permutations."""
+    """Return the representative of a fleet and all its permutations."""
     n_sys = len(fleet) // 2
     robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
     return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])

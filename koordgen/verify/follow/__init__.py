@@ -1,4 +1,4 @@
-"""Follow: a counterexample as rounds that agents can be made to run. Pure.
+"""Execution of a counterexample: plans rounds in which agents can run it (`koordgen sim --follow`).
 
 Owns: the plan of such a run.
 Offers: `plan`, `read`.

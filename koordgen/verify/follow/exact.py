@@ -1,4 +1,4 @@
-"""Exact numbers of a proof, which a trace has as texts where they are no floats, beside the floats of robots."""
+"""Exact numbers of a counterexample, which a trace stores as text, compared with robots' floats."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from fractions import Fraction
 from math import isclose
 from typing import Any
 
-ROUNDING = 1e-9  # relative: what exact numbers of a proof may differ from floats
+ROUNDING = 1e-9  # relative tolerance between an exact number and a float
 EXACT = re.compile(r"-?[0-9]+/[0-9]+")
 
 
 def fraction(data: Any) -> str:
-    """The first such text in JSON; empty where there is none."""
+    """Return the first text of a fraction in JSON; empty if there is none."""
     match data:
         case str() if EXACT.fullmatch(data):
             return data
@@ -27,8 +27,9 @@ def fraction(data: Any) -> str:
 
 
 def nearest(data: Any) -> float:
-    """The float nearest to a number, as near as floats are to one another. Raises ValueError, TypeError,
-    ArithmeticError, for what is too great or too small among others."""
+    """Return the float nearest to a number, if it is within the precision of floats.
+
+    Raises ValueError, TypeError, ArithmeticError, for instance for numbers that are too large or too small."""
     if not fraction(data):
         return float(data)
     exact = Fraction(data)
@@ -39,8 +40,10 @@ def nearest(data: Any) -> float:
 
 
 def agree(told: Any, meant: Any, rounded: bool = False) -> bool:
-    """Whether two values in JSON are the same; of exact numbers, which are texts, up to the rounding of floats, and so
-    of all that may have come of one that was `rounded`."""
+    """Return whether two values in JSON are equal.
+
+    Exact numbers, which are texts, need be equal up to rounding only. If the computation `rounded`, so do all
+    floats."""
     if isinstance(told, list) and isinstance(meant, list):
         return len(told) == len(meant) and all(agree(t, m, rounded) for t, m in zip(told, meant, strict=True))
     exact = isinstance(told, str) or (rounded and type(told) in (int, float) and isinstance(meant, float))

@@ -1,8 +1,9 @@
-"""A counterexample as rounds that agents can be made to run: which robot tries which event in which of their rounds.
+"""Plan of a counterexample for agents: which robot tries which event in which of the agents' rounds.
 
-In one round of the semantics atomic events come one after another, each on what those before it left; agents let one
-robot commit for each lock in a round, all on the store of its start. So a round is split: into the fewest agents'
-rounds that, by the agents' own rule, lead to the very state that the trace tells of. Sensors stand still between them.
+In a round of the semantics, atomic events run one after another, each on the store that the previous one left. Agents
+let one robot commit per lock in a round, and all of them read the store at its start. So a round is split into the
+fewest agents' rounds that lead to the state in the trace by the agents' own rule. Sensors keep their values between
+these.
 """
 
 from __future__ import annotations
@@ -20,32 +21,36 @@ from koordgen.lang.semantics.step import Step as Done
 from koordgen.lang.semantics.step import applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.follow.exact import agree, fraction, nearest
-from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, Counterexample, Step, Told
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-MOST = 5  # events of a round of which every split is tried; of more only the usual ones
-LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may do what it wants
+MOST = 5  # most events of a round for which every split is tried; for more, only the usual splits are
+LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may choose its events
 
 SHORT = "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals"
 
 Events = Mapping[int, str]  # by pid
 
 
-class CannotFollow(Exception):
-    """The trace is none of this program's, or of what robots cannot do; the message says why, `help` the way out."""
+class CannotExecute(Exception):
+    """The trace is not of this program, or robots cannot do it.
+
+    The message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
         self.help = help
 
 
-class ModelOnly(CannotFollow):
+class ModelOnly(CannotExecute):
     """The trace is, or may be, a behaviour of the language that agents do not have."""
 
 
-class Round(NamedTuple):
-    """A round of the agents: what it is part of, what each robot is to try (`free`: what it wants), and how all stands
-    when it begins. `calls` by pid."""
+class AgentRound(NamedTuple):
+    """One agents' round.
+
+    `of`: the round of the trace to which it belongs; `events`: the event that each robot is to try; `free`: robots
+    choose their events themselves; `state`: the state when it begins; `calls` by pid."""
 
     of: int
     line: int
@@ -55,19 +60,22 @@ class Round(NamedTuple):
     calls: Mapping[int, tuple[Any, ...]]
 
 
-class Plan(NamedTuple):
-    """`rounds` end with one in which nobody acts, for what the last one left. `found`: the agents' round after whose
-    events (0: after `init`) the trace's ending must be found; `environment`: after the environment's step behind it."""
+class ExecutionPlan(NamedTuple):
+    """Plan of a run.
 
-    given: Counterexample
-    rounds: tuple[Round, ...]
-    calls: Mapping[int, tuple[Any, ...]]  # of init
+    The last of `rounds` has no events, so that the state after the one before it is observed. `found`: the agents'
+    round after whose events (0: after `init`) the trace's violation must occur; `environment`: it must occur after the
+    environment's step that follows."""
+
+    given: CounterexampleTrace
+    rounds: tuple[AgentRound, ...]
+    calls: Mapping[int, tuple[Any, ...]]  # calls of callable ports in `init`
     found: int
     environment: bool
 
 
-def document(plan: Plan, program_hash: str) -> dict[str, Any]:
-    """The plan as the sim bundle takes it (targets/sim/follow/plan.py)."""
+def document(plan: ExecutionPlan, program_hash: str) -> dict[str, Any]:
+    """Return the plan in the format of the sim bundle (targets/sim/follow/plan.py)."""
     given = plan.given
     return {
         "trace": str(given.path),
@@ -96,25 +104,27 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
     return {name: plain(value) for name, value in values.items()}
 
 
-def planned(program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]) -> Plan:
-    """Raises CannotFollow."""
+def make_plan(
+    program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
+) -> ExecutionPlan:
+    """Return the plan of a counterexample. Raises CannotExecute."""
     return _Planner(program, given, externs).plan()
 
 
 class _Planner:
     def __init__(
-        self, program: decl.Program, given: Counterexample, externs: Mapping[str, Callable[..., Value]]
+        self, program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
     ) -> None:
         self.program, self.given, self.externs = program, given, externs
         self.types = declared(program)
         self.events = {event.name: event for event in program.events}
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
-        self.cleared: set[tuple[int, str]] = set()  # robots, and their sensors that a command has cleared
-        self.rounds: list[Round] = []
+        self.cleared: set[tuple[int, str]] = set()  # robots, with their sensors that a command has cleared
+        self.rounds: list[AgentRound] = []
         self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
-    def plan(self) -> Plan:
+    def plan(self) -> ExecutionPlan:
         first, *steps = self.given.steps
         if first.event != BEGINNING:
             raise self.broken(first, f"it begins with {first.event}")
@@ -135,16 +145,16 @@ class _Planner:
         ending, line = self.given.ending, self.given.steps[-1].line
         if ending is not None and ending.event and ending.event != INIT:
             if ending.event not in self.events:
-                raise CannotFollow(f"{self.given.path}: the program has no event {ending.event}")
-            self.rounds.append(Round(last + environment, line, {ending.pid: ending.event}, False, state, {}))
+                raise CannotExecute(f"{self.given.path}: the program has no event {ending.event}")
+            self.rounds.append(AgentRound(last + environment, line, {ending.pid: ending.event}, False, state, {}))
             number, environment = len(self.rounds), False
         free = ending is not None and ending.name == "(deadlock)"
         for _ in range(LATEST if free else 1):
-            self.rounds.append(Round(last + 1, line, {}, free, state, {}))
-        return Plan(self.given, tuple(self.rounds), calls, number, environment)
+            self.rounds.append(AgentRound(last + 1, line, {}, free, state, {}))
+        return ExecutionPlan(self.given, tuple(self.rounds), calls, number, environment)
 
-    def round(self, of: int, group: list[Step], state: State) -> State:
-        """One round of the trace; the state after it."""
+    def round(self, of: int, group: list[TraceStep], state: State) -> State:
+        """Plan one round of the trace. Return the state after it."""
         acts = [step for step in group if step.event != ENVIRONMENT]
         moved = [step for step in group if step.event == ENVIRONMENT]
         if len(moved) > 1 or (moved and group[-1] is not moved[0]):
@@ -158,7 +168,7 @@ class _Planner:
         for block, after in blocks:
             events = {step.pid: step.event for step in block}
             line = block[0].line if block else group[0].line
-            self.rounds.append(Round(of, line, events, False, state, {pid: calls.get(pid, ()) for pid in events}))
+            self.rounds.append(AgentRound(of, line, events, False, state, {pid: calls.get(pid, ()) for pid in events}))
             self.note(self.done(block, state, self.world(calls)) or ())
             state = after
         if moved:
@@ -166,8 +176,8 @@ class _Planner:
             self.compare(moved[0], state)
         return state
 
-    def split(self, acts: list[Step], state: State, world: World) -> list[tuple[list[Step], State]]:
-        """The fewest agents' rounds that come to where the trace does, each with the state after it."""
+    def split(self, acts: list[TraceStep], state: State, world: World) -> list[tuple[list[TraceStep], State]]:
+        """Return the fewest agents' rounds that lead to the trace's state, each with the state after it."""
         off = ""
         for blocks in self.splits(acts):
             at, found = state, []
@@ -186,28 +196,30 @@ class _Planner:
         place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
         if self.rounded:
             raise ModelOnly(
-                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not come to what the trace "
-                "says" + (f" ({off})" if off else ""),
+                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not lead to the state in "
+                "the trace" + (f" ({off})" if off else ""),
                 SHORT,
             )
         if not self.given.initial and self.events[acts[0].event].lock is None:
             raise ModelOnly(
-                f"{place}: {names} does not come to what the trace says ({off})" if off
+                f"{place}: {names} does not lead to the state in the trace ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
-                "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
+                "a plain event reads the store of its round's start, and a proof's step may begin within a round, when "
                 "others have written since; robots begin with a round",
             )  # fmt: skip
         after = self.stepped(acts, state, world)
-        kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
+        kind = CannotExecute if after is None or self.differs(acts[-1], after) else ModelOnly
         raise kind(
-            f"{place}: {names}, in this order: no rounds of agents come to what the trace says"
+            f"{place}: {names}, in this order: no rounds of agents lead to the state in the trace"
             + (f" ({off})" if off else ""),
-            "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: what "
-            "needs another order happens in the model only",
+            "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: steps "
+            "that need another order happen in the model only",
         )
 
-    def stepped(self, acts: list[Step], state: State, world: World) -> State | None:
-        """Where the language's round leads, in the very order of the steps; None where one of them has no result."""
+    def stepped(self, acts: list[TraceStep], state: State, world: World) -> State | None:
+        """Return the state after a round of the semantics, in the order of the steps.
+
+        None if a step has no result."""
         at = state
         for step in acts:
             seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
@@ -217,9 +229,11 @@ class _Planner:
             at = applied(self.program, at, done[0])
         return at
 
-    def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
-        """Ways to spread a round's events over agents' rounds, the fewest first: all at once; the plain ones at once
-        amid the atomic ones, in their order; of few events every other way."""
+    def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
+        """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first.
+
+        First all events in one round; then the plain ones together among the atomic ones, in their order; for few
+        events, every partition."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -233,9 +247,11 @@ class _Planner:
         if len(acts) <= MOST:
             yield from sorted(_partitions(acts), key=len)
 
-    def done(self, block: list[Step], state: State, world: World, begun: State | None = None) -> list[Done] | None:
-        """What agents do in one round, as it counts, all on the store of its start; None where one of them does not, or
-        two want one lock. `begun`: where the round began, if not in `state`; that tells which events have priority."""
+    def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
+        """Return the steps of one agents' round, all on the store of its start.
+
+        None if one of them is impossible, or two need one lock. `begun`: the state at the start of the trace's round,
+        if it is not `state`; it decides which events have priority."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -256,8 +272,8 @@ class _Planner:
             found.append(Done(step.pid, event.name, outcome))
         return found
 
-    def begun(self, first: Step) -> State:
-        """The trace's first state."""
+    def begun(self, first: TraceStep) -> State:
+        """Return the trace's first state."""
         sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
@@ -278,31 +294,31 @@ class _Planner:
         self.compare(first, state)
         return state
 
-    def sensed(self, step: Step, told: Told, pid: int) -> dict[str, Value]:
+    def sensed(self, step: TraceStep, told: RobotRecord, pid: int) -> dict[str, Value]:
         if set(told.sensors) != self.sensors:
             raise self.broken(step, f"its sensors are {', '.join(told.sensors) or 'none'}")
         known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
         return {**self.values(step, told.sensors), **known}
 
-    def values(self, step: Step, told: Mapping[str, Any]) -> dict[str, Value]:
+    def values(self, step: TraceStep, told: Mapping[str, Any]) -> dict[str, Value]:
         try:
-            return {name: taken(value, self.types[name], nearest) for name, value in told.items()}
+            return {name: from_trace(value, self.types[name], nearest) for name, value in told.items()}
         except BadValue as error:
-            raise CannotFollow(
-                f"{self.given.path}:{step.line}: {error} that robots have, nor near to one", SHORT
+            raise CannotExecute(
+                f"{self.given.path}:{step.line}: {error} within the precision of robots' numbers", SHORT
             ) from None
         except KeyError as error:
             raise self.broken(step, f"the program has no {error}") from None
 
     def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
-        """Callable ports answer as the trace says."""
+        """Return a world in which callable ports give the answers in the trace."""
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
             given = [plain(arg) for arg in args]
             for name, asked, said in calls.get(pid, ()):
                 if name == port and self.agree(asked, given):
-                    return taken(said, self.types[port], nearest)
-            raise LookupError(f"{port} was not asked that")
+                    return from_trace(said, self.types[port], nearest)
+            raise LookupError(f"no call of {port} in the trace has these arguments")
 
         return World(self.externs, answer)
 
@@ -313,16 +329,17 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """The sensors of a robot that commands clear, and none has cleared yet: on robots they are true then, whatever
-        a proof's counterexample says."""
+        """Return the sensors of a robot that commands clear but no command has cleared yet.
+
+        On robots these are true, whatever a counterexample to induction says."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
-    def compare(self, step: Step, state: State) -> None:
+    def compare(self, step: TraceStep, state: State) -> None:
         if difference := self.differs(step, state):
-            raise CannotFollow(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
+            raise CannotExecute(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
 
-    def differs(self, step: Step, state: State) -> str:
-        """How a state is not what the trace says of it; empty where it is."""
+    def differs(self, step: TraceStep, state: State) -> str:
+        """Describe a difference between a state and the trace; empty if there is none."""
         for pid, told in enumerate(step.robots):
             robot = state.robots[pid]
             meant = {**robot.locals, **robot.ports, **state.store.cells}
@@ -340,12 +357,12 @@ class _Planner:
     def agree(self, told: Any, meant: Any) -> bool:
         return agree(told, meant, bool(self.rounded))
 
-    def broken(self, step: Step, why: str) -> CannotFollow:
-        return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is no counterexample of this program")
+    def broken(self, step: TraceStep, why: str) -> CannotExecute:
+        return CannotExecute(f"{self.given.path}:{step.line}: {why}", "it is not a counterexample of this program")
 
 
-def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
-    group: list[Step] = []
+def _by_round(steps: list[TraceStep]) -> Iterator[tuple[int, list[TraceStep]]]:
+    group: list[TraceStep] = []
     for step in steps:
         if group and (step.round != group[0].round or group[-1].event == ENVIRONMENT):
             yield group[0].round, group
@@ -355,7 +372,7 @@ def _by_round(steps: list[Step]) -> Iterator[tuple[int, list[Step]]]:
         yield group[0].round, group
 
 
-def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
+def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
     found: dict[int, tuple[Any, ...]] = {}
     for step in steps:
         for pid, told in enumerate(step.robots):
@@ -364,8 +381,8 @@ def _calls(steps: list[Step]) -> dict[int, tuple[Any, ...]]:
     return found
 
 
-def _partitions(acts: list[Step]) -> Iterator[list[list[Step]]]:
-    """Every way to do them in several rounds."""
+def _partitions(acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
+    """Yield every partition of events into a sequence of rounds."""
     if not acts:
         yield []
         return

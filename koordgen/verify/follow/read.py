@@ -1,4 +1,7 @@
-"""A counterexample's trace (koordgen/verify/prove/report/trace.py writes it) as steps of a fleet."""
+"""Parser of a counterexample's trace into steps of a fleet.
+
+koordgen/verify/prove/report/trace.py writes such traces.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.runtime.trace.schema import NO_HEADER, BadTrace, format_of
-from koordgen.verify.replay.trace import Trace, records
+from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # equal to the limit in koordgen/runtime/net/wire.py; a test compares them
 
-Values = Mapping[str, Any]  # by name, in JSON
+Values = Mapping[str, Any]  # name -> value in JSON
 
 
-class Told(NamedTuple):
-    """What a step's record says of one robot after it; `calls` of callable ports: port, arguments, answer."""
+class RobotRecord(NamedTuple):
+    """Record of one robot after a step; `calls` of callable ports: port, arguments, answer."""
 
     sensors: Values
     shared: Values
@@ -27,20 +30,23 @@ class Told(NamedTuple):
     calls: tuple[tuple[str, list[Any], Any], ...]
 
 
-class Step(NamedTuple):
-    """`line` is that of its first record; `event` BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`, which is -1
-    else."""
+class TraceStep(NamedTuple):
+    """One step.
+
+    `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`; without such a
+    robot `pid` is -1."""
 
     line: int
     round: int
     event: str
     pid: int
-    robots: tuple[Told, ...]
+    robots: tuple[RobotRecord, ...]
 
 
 class Ending(NamedTuple):
-    """What is violated after the last step, by the trace. `pid` and `event`: what comes next and has no result; -1:
-    nothing is to come."""
+    """Violation after the last step.
+
+    `pid` and `event`: the event that would come next and has no result; -1 if there is none."""
 
     name: str
     line: str
@@ -49,10 +55,12 @@ class Ending(NamedTuple):
     event: str = ""
 
 
-class Counterexample(NamedTuple):
-    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON, `given` names those
-    that were not as the program has them. Without `ending` it is cut off, or
-    of a run in which nothing is violated; `cut` is the line from which on it cannot be read, 0 where it can."""
+class CounterexampleTrace(NamedTuple):
+    """A whole trace.
+
+    `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ from the program's
+    values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from which on it cannot
+    be read; 0 if all of it can."""
 
     path: Path
     app: str
@@ -61,20 +69,20 @@ class Counterexample(NamedTuple):
     n_sys: int
     params: Values
     given: tuple[str, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[TraceStep, ...]
     ending: Ending | None
     cut: int
 
 
-def read(path: Path) -> Counterexample:
-    """As much as is there. Raises BadTrace."""
-    blank = Trace(path, "", "", (), False, 0)
+def read(path: Path) -> CounterexampleTrace:
+    """Read as much of a trace as possible. Raises BadTrace."""
+    blank = TraceParts(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
-        raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
+        raise BadTrace(f"{path}: not the trace of a counterexample, as `koordgen explore --trace` writes it")
     try:
         app, program_hash = str(header["app"]), str(header["program_hash"])
         n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])
@@ -87,16 +95,16 @@ def read(path: Path) -> Counterexample:
     steps, ending, cut = _steps(path, ((number, record) for number, record, _ in lines), n_sys)
     cut = blank.cut or cut
     if not steps:
-        raise BadTrace(f"{path}: there is no whole step in it")
+        raise BadTrace(f"{path}: it contains no complete step")
     initial = header["counterexample"] == "run"
-    return Counterexample(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
+    return CounterexampleTrace(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
 
 
 def _steps(
     path: Path, found: Iterator[tuple[int, dict[str, Any]]], n_sys: int
-) -> tuple[tuple[Step, ...], Ending | None, int]:
-    """The whole steps, what is violated, and the line from which on a step is not whole."""
-    steps: list[Step] = []
+) -> tuple[tuple[TraceStep, ...], Ending | None, int]:
+    """Return the complete steps, the violation, and the line at which an incomplete step begins (0: none)."""
+    steps: list[TraceStep] = []
     part: list[dict[str, Any]] = []
     first = 0
     for number, record in found:
@@ -119,25 +127,25 @@ def _steps(
     return tuple(steps), None, first if part else 0
 
 
-def _step(line: int, part: list[dict[str, Any]]) -> Step:
+def _step(line: int, part: list[dict[str, Any]]) -> TraceStep:
     event, round_ = part[0]["step"], part[0]["round"]
     if type(event) is not str or type(round_) is not int or round_ < 0:
         raise ValueError(f"step {event!r} of round {round_!r}")
     if any((record["step"], record["round"]) != (event, round_) for record in part):
-        raise ValueError("robots of one step tell of different ones")
+        raise ValueError("records of one step are of different steps")
     acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
     alone = event not in (BEGINNING, INIT, ENVIRONMENT)
     if alone and len(acting) != 1:
-        raise ValueError(f"{event} is an event of one robot, here it is of {len(acting)}")
-    return Step(line, round_, event, acting[0] if alone else -1, tuple(map(_told, part)))
+        raise ValueError(f"{event} must be an event of one robot, but {len(acting)} robots act")
+    return TraceStep(line, round_, event, acting[0] if alone else -1, tuple(map(_record, part)))
 
 
-def _told(record: dict[str, Any]) -> Told:
+def _record(record: dict[str, Any]) -> RobotRecord:
     sensors, shared, actuators, locals_ = (_table(record[group]) for group in GROUPS)
     calls = tuple([(port, list(args), answer) for port, args, answer in record.get("calls", ())])
     if any(type(port) is not str for port, _, _ in calls):
         raise ValueError("calls")
-    return Told(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
+    return RobotRecord(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
 
 
 def _ending(record: dict[str, Any], n_sys: int) -> Ending:

@@ -1,6 +1,6 @@
-"""Prover: a program's invariants, for any number of robots.
+"""Prover: shows that a program's invariants hold, for any number of robots.
 
-Owns: terms and solvers (`smt`), encoding (`encode`), what is to be shown (`obligations`), verdicts (`report`).
+Owns: terms and solvers (`smt`), encoding of the IR (`encode`), proof obligations (`obligations`), verdicts (`report`).
 Offers: `report.verdict.prove`.
 Must not import: explore, audit, attack.
 """

@@ -1,6 +1,6 @@
-"""Replay: a traced program again, by the semantics, on what its robots saw.
+"""Replay: runs a traced program again by the semantics, on the inputs that its robots recorded.
 
-Owns: reading of traces and the checks of their records.
-Offers: `trace.read`, `robot`, `fleet`.
+Owns: reading of traces, and checks of their records.
+Offers: `trace.open_trace`, `robot`, `fleet`.
 Must not import: the prover, explore, audit.
 """

@@ -1,4 +1,7 @@
-"""A whole trace again: each robot by itself, and when all of a fleet are there also what they held together."""
+"""Replay of a whole trace, robot by robot.
+
+If the trace has all robots of the fleet, the shared store is compared, too.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,15 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
-from koordgen.verify.replay.store import Shown, Writes
-from koordgen.verify.replay.trace import Line, Trace
+from koordgen.verify.replay.store import RecordedWrites, Shown
+from koordgen.verify.replay.trace import TraceLine, TraceParts
 from koordgen.verify.replay.values import plain
 
 
-def replayed(
-    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: Trace, counts: Counts
+def replay_trace(
+    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: TraceParts, counts: Counts
 ) -> Iterator[Difference]:
-    """Every difference, in the trace's order. Raises BadTrace, Unreplayable."""
+    """Yield every difference, in the trace's order. Raises BadTrace, Unreplayable."""
     n_sys = len(trace.robots)
     robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
     stores = None if trace.own else Stores(program, n_sys, trace)
@@ -26,9 +29,9 @@ def replayed(
             yield from _view(line, views)
             continue
         if line.record["kind"] == "init":
-            views.clear()  # of an earlier mission
+            views.clear()  # they belong to an earlier mission
         robot = robots[line.pid]
-        if trace.cut and line.record["kind"] == "checkpoint":  # an older part ends amid a record
+        if trace.cut and line.record["kind"] == "checkpoint":  # an older part ends within a record
             robot.skip()
         yield from robot.line(line)
         if robot.saw is not None and stores is not None:
@@ -39,8 +42,8 @@ def replayed(
             yield from robot.end(last)
 
 
-def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
-    """There is one view of each number: `views` are those that were told until now, by number."""
+def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
+    """Compare a view with `views`, those recorded so far. All records of one view number must agree."""
     try:
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -52,13 +55,15 @@ def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]
 
 
 class Stores:
-    """The shared store of each round, by what all robots say that they wrote: first commits, then plain events by
-    ascending pid. From where a robot died on, which may have written what it told nobody, it is not known."""
+    """Shared store of each round, computed from the writes that all robots recorded.
 
-    def __init__(self, program: decl.Program, n_sys: int, trace: Trace) -> None:
-        self._writes = Writes(program, n_sys)
+    Commits are applied first, then plain events by ascending pid. From the round on in which a robot died it is
+    unknown, since the robot may have written without a record."""
+
+    def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
+        self._writes = RecordedWrites(program, n_sys)
         ends = dict.fromkeys(range(n_sys), 0)
-        acted = dict.fromkeys(range(n_sys), 0)  # the last round whose event a robot told of
+        acted = dict.fromkeys(range(n_sys), 0)  # last round in which a robot recorded an event
         until = float("inf")
         for line in trace.lines():
             record = line.record
@@ -71,12 +76,14 @@ class Stores:
             if record.get("event") is not None and not record.get("fault"):
                 acted[line.pid] = round_
             ends[line.pid] = max(ends[line.pid], round_)
-            self._writes.hear(line.pid, record)
+            self._writes.add_record(line.pid, record)
         self._until = min(until, min(ends.values()))
-        self._known: dict[int, Shown] = {0: self._writes.after(self._writes.first(), 0)}  # round -> after it
+        self._known: dict[int, Shown] = {
+            0: self._writes.after(self._writes.first(), 0)
+        }  # round -> store after the round
 
-    def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
-        """A robot's copy at a round's start beside the store after the round before."""
+    def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
+        """Compare a robot's copy at a round's start with the store after the round before."""
         round_ = int(line.record["round"])
         if round_ - 1 > self._until:
             return

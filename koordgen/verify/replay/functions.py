@@ -1,4 +1,4 @@
-"""A program's extern functions, called by the executable semantics as robots call them: through the generated code."""
+"""Extern functions of a program, called by the semantics through the generated code."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from koordgen.lang.semantics.values import RecordValue, Value
 
 
 class CannotCall(Exception):
-    """The file of the extern functions cannot be used; the message says why."""
+    """The file of the extern functions cannot be used; the message gives the reason."""
 
 
 def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
-    """The extern functions by name. Runs the user's file. Raises CannotCall."""
+    """Return the extern functions by name. Loads the user's file. Raises CannotCall."""
     if not program.externs:
         return {}
     if file is None or not file.is_file():
         raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
     load(program, file)
     names = Names(program)
-    module = sys.modules["replayed"] = ModuleType("replayed")  # where annotations of records are looked up
+    module = sys.modules["replayed"] = ModuleType("replayed")  # annotations of records are resolved in it
     vars(module)["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), vars(module))
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
 def load(program: decl.Program, file: Path) -> None:
-    """Imports the file, under the name by which generated code asks for it. Raises CannotCall."""
+    """Import the file, under the name by which generated code imports it. Raises CannotCall."""
     name = functions_module(program)
-    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # whatever its ending
+    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # with any suffix
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
     sys.path.insert(0, str(file.parent))
@@ -66,7 +66,7 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
 
 def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
-    """A value of the semantics as robots have it: records are of the program's classes."""
+    """Convert a value of the semantics to the robots' form, in which records have the program's classes."""
     match type_:
         case RecordType(name, fields):
             parts = zip(value.fields, fields, strict=True)

@@ -1,6 +1,6 @@
 """Checks of a trace's records: their form by the schema, and limits.
 
-A trace comes from outside: whatever reads it calls `sound` first, and may then use the record's keys.
+A trace is untrusted input. Each reader of a trace calls `sound` first, and may then use the record's keys.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from typing import Any
 
 from koordgen.runtime.trace.schema import KINDS, misfit
 
-MOST_JUMP = 100_000  # rounds from one record to the next; a larger number is none
+MOST_JUMP = 100_000  # largest number of rounds from one record to the next
 _WRITES = ("locals", "shared", "actuators", "stopped")
 
 
 class Unsound(ValueError):
-    """A record that cannot be used; the message says what is wrong with it."""
+    """A record is unusable; the message says what is wrong with it."""
 
 
 def sound(record: Mapping[str, Any], line: bytes) -> dict[str, Any]:
-    """Return what the schema knows of a record, which is the object in `line` and of a kind of the schema. Raises
-    Unsound."""
+    """Return the fields of a record that the schema knows.
+
+    `line` is the text of the record, whose kind is in the schema. Raises Unsound."""
     kind = record["kind"]
     if kind == "header":
         part = record.get("part", 0)

@@ -1,4 +1,4 @@
-"""One robot's rounds again: the executable semantics on what its trace says it saw, beside what it says it did."""
+"""Replay of one robot's rounds: recorded inputs, and recorded outputs for comparison."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from koordgen.lang.semantics.state import Robot, State, Store, World
 from koordgen.lang.semantics.step import Step, execute, has_priority, initial, select
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.replay.store import had_frame
-from koordgen.verify.replay.trace import Line
-from koordgen.verify.replay.values import BadValue, plain, taken
+from koordgen.verify.replay.trace import TraceLine
+from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-OVERRAN = "not finished by the round's publish deadline"  # what only the robot's clock knows
+OVERRAN = "not finished by the round's publish deadline"  # a fault that depends on the robot's clock alone
 
 
 class Difference(NamedTuple):
-    """Where a trace is not as the program means: `told` is what it says, `meant` what the semantics says."""
+    """A difference between trace and program.
+
+    `told`: the value in the trace; `meant`: the value by the semantics."""
 
     number: int
     round: int
@@ -34,7 +36,7 @@ class Difference(NamedTuple):
 
 
 class Unreplayable(Exception):
-    """A trace cannot be replayed: the number of its line, and the reason."""
+    """A trace cannot be replayed; `number` is the line, `why` the reason."""
 
     def __init__(self, number: int, why: str) -> None:
         super().__init__(f"line {number}: {why}")
@@ -45,14 +47,16 @@ class Unreplayable(Exception):
 class Counts:
     rounds: int = 0
     events: int = 0
-    violated: int = 0  # events (and `init`s) in which a loop invariant was false, as the program means
-    late: int = 0  # events that overran, which nobody can judge afterwards
+    violated: int = 0  # events and `init`s in which a loop invariant was false, by the semantics
+    late: int = 0  # events that exceeded their time budget, which no replay can judge
 
 
 @dataclass
 class Replay:
-    """One robot of a program. `externs` as in World; `followed` as in Trace: then any event may have been chosen whose
-    guard holds, or none, and of a "step" `init` is what the counterexample begins with."""
+    """Replay of one robot.
+
+    `externs` as in World. `followed` as in Trace: if the run executed a counterexample, any enabled event may have been
+    chosen, or none; for a "step", `init` is the first state of the counterexample."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -67,15 +71,15 @@ class Replay:
         self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
         self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
         self._actuators: dict[str, Value] = {}
-        self._store: dict[str, Any] = {}  # its copy: of an allread variable by pid
+        self._store: dict[str, Any] = {}  # the robot's copy of the store; allread variables by pid
         self._streams: list[tuple[str, str]] = []
         self._round = 0
-        self._begun = False  # its own variables are known
-        # The copy of the shared store that the last line says the robot saw: of an allread variable by pid.
+        self._begun = False  # whether its own variables are known
+        # Copy of the shared store that the robot saw, by its last record; allread variables by pid.
         self.saw: Mapping[str, Any] | None = None
 
-    def line(self, line: Line) -> Iterator[Difference]:
-        """What is not as it is meant. Raises Unreplayable."""
+    def line(self, line: TraceLine) -> Iterator[Difference]:
+        """Yield the differences in one record. Raises Unreplayable."""
         self.saw = None
         record = line.record
         try:
@@ -95,17 +99,19 @@ class Replay:
             raise Unreplayable(line.number, told) from None
 
     def end(self, number: int) -> Iterator[Difference]:
-        """No more of the last round comes."""
+        """Yield the differences at the end of the last round: streams that were not recorded."""
         for port, text in self._streams:
             yield Difference(number, self._round, self.pid, port, None, text)
         self._streams = []
 
     def skip(self) -> None:
-        """Records are missing before the next line: what it says of the robot's own variables is not compared."""
+        """Skip missing records: the robot's own variables in the next record are not compared."""
         self._begun, self._streams = False, []
 
-    def _checkpoint(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
-        """Another part begins. Where the part before it was replayed, its own variables must be as they were left."""
+    def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
+        """Begin another part.
+
+        If the part before it was replayed, its own variables must have their last values."""
         self._store = {}
         if self._begun and record["round"] != self._round:
             self.skip()
@@ -118,20 +124,20 @@ class Replay:
             for name in {**known, **told}:
                 meant = plain(known[name]) if name in known else None
                 if name in known and told.get(name) == meant:
-                    continue  # and stays exactly, where the trace has null for what is not finite
+                    continue  # keep the exact value, since null in the trace stands for any number that is not finite
                 if self._begun:
                     yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
                 known.update(self._values({name: told[name]} if name in told else {}))
         self._begun = True
 
-    def _init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self._round, self._store, self._begun = 0, {}, True
         if self.followed != "step":
             yield from self._ran_init(line, record)
         self._own = self._values(record["locals"])
         self._actuators = self._values(record["actuators"])
 
-    def _ran_init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _ran_init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         given = {**self._unset(record), **self._values(record["sensors"])}
         state = initial(self.program, self.n_sys, [given if p == self.pid else {} for p in range(self.n_sys)])
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
@@ -145,11 +151,11 @@ class Replay:
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Actuators that nobody wrote and that hold at a sensor of which the program does not ask."""
+        """Return actuators that nobody wrote and that hold at a sensor which the program does not declare."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
-        return {name: taken(record["actuators"][name], self._types[name]) for name in hidden}
+        return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
-    def _take_round(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _take_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self.counts.rounds += 1
         restored = record.get("restored")
         if restored is not None:
@@ -179,12 +185,12 @@ class Replay:
         self._actuators |= self._values(record.get("actuators", {}))
         for name, value in record.get("shared", {}).items():
             if name in self._slots:
-                self._store[name][self.pid] = taken(value, self._types[name])
+                self._store[name][self.pid] = from_trace(value, self._types[name])
             else:
-                self._store[name] = taken(value, self._types[name])
+                self._store[name] = from_trace(value, self._types[name])
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
-        """The event that the robot must have chosen; a Step is one whose guard has no value."""
+        """Return the event that the robot must have chosen; a Step if its guard has no value."""
         world, name = self._world(record), record.get("event")
         if not self.followed:
             return select(self.program, state, self.pid, world)
@@ -195,34 +201,34 @@ class Replay:
         found = (select(replace(self.program, events=(event,)), state, self.pid, world) for event in tried)
         return next((each for each in found if isinstance(each, Step) is (name is None) and each is not None), None)
 
-    def _event(self, line: Line, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
+    def _event(self, line: TraceLine, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
         if isinstance(done, Discarded):
             yield Difference(
                 line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
             )
             return
-        # A local that was written with the value it had is not told.
+        # A local variable that was written with its old value is not in the record.
         told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
         meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
         yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
         yield from self._loops(line, record, done)
         self._streams = list(done.streams)
-        for name, value in done.locals.items():  # exactly, where the trace has null for what is not finite
+        for name, value in done.locals.items():  # keep exact values, since null stands for any that is not finite
             if plain(value) == told[name]:
                 self._own[name] = value
 
-    def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
+    def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
         """Compare the lines of the loop invariants that were false."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
         if told != meant:
-            yield Difference(line.number, self._round, self.pid, "what loop invariants were false", told, meant)
+            yield Difference(line.number, self._round, self.pid, "the list of false loop invariants", told, meant)
 
     def _fault(
-        self, line: Line, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
+        self, line: TraceLine, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
         record: dict[str, Any],
     ) -> Iterator[Difference]:  # fmt: skip
-        """What the robot discarded must have no value; only its clock knows what came too late."""
+        """Check that a discarded event has no value. Only the robot's clock decides whether an event was late."""
         if fault.get("reason") == OVERRAN:
             self.counts.late += 1
             return
@@ -236,13 +242,13 @@ class Replay:
         elif event != name or done.span.line != fault.get("line"):
             yield Difference(line.number, self._round, self.pid, f"event {event}", told, f"{name} discarded at {done}")
 
-    def _stream(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+    def _stream(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         told = (str(record["port"]), str(record["text"]))
         meant = self._streams.pop(0) if self._streams else None
         if told != meant:
             yield Difference(line.number, int(record["round"]), self.pid, told[0], told[1], meant and meant[1])
 
-    def _compared(self, line: Line, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
+    def _compared(self, line: TraceLine, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
         for group, values in meant.items():
             told = record.get(group, False if group == "stopped" else {})
             if group == "stopped":
@@ -258,16 +264,18 @@ class Replay:
         for name, value in copy.items():
             if name in self._slots:
                 slots = self._store.setdefault(name, {})
-                slots.update({int(pid): taken(own, self._types[name]) for pid, own in value.items()})
+                slots.update({int(pid): from_trace(own, self._types[name]) for pid, own in value.items()})
             else:
-                self._store[name] = taken(value, self._types[name])
+                self._store[name] = from_trace(value, self._types[name])
 
-    def _state(self, line: Line, record: dict[str, Any]) -> State:
-        """What this robot saw; of the others nothing is known, nor can an event ask for it."""
+    def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
+        """Return the state that this robot saw.
+
+        Other robots' own variables are unknown, and no event reads them."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
-                raise Unreplayable(line.number, f"it is not told what {shared.name} was (an older trace?)")
+                raise Unreplayable(line.number, f"the value of {shared.name} is not recorded (an older trace?)")
         slots = {n: tuple([self._store[n][p] for p in range(self.n_sys)]) for n in self._slots}
         cells = {name: value for name, value in self._store.items() if name not in self._slots}
         own = Robot(self._own, {**self._actuators, **self._values(record["sensors"])}, False)
@@ -275,7 +283,7 @@ class Replay:
         return State(self._first.params, robots, Store(slots, cells), self._round)
 
     def _world(self, record: dict[str, Any]) -> World:
-        """Callable ports answer as they did, in their order; what was not asked then fails, as it did then."""
+        """Return a world in which callable ports give the recorded answers, in order; any other call fails."""
         calls = [(port, args, answer) for port, args, answer in record.get("calls", [])]
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
@@ -283,11 +291,11 @@ class Replay:
             for k, (name, asked, found) in enumerate(calls):
                 if name == port and asked == given:
                     if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
-                        del calls[k]  # the next time it may have said something else
-                    return taken(found, self._types[port])
-            raise LookupError(f"{port} was not asked that")
+                        del calls[k]  # the next equal call may have another answer
+                    return from_trace(found, self._types[port])
+            raise LookupError(f"no recorded call of {port} has these arguments")
 
         return World(self.externs, answer)
 
     def _values(self, told: Mapping[str, Any]) -> dict[str, Value]:
-        return {name: taken(value, self._types[name]) for name, value in told.items()}
+        return {name: from_trace(value, self._types[name]) for name, value in told.items()}

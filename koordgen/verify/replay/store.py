@@ -1,4 +1,4 @@
-"""The shared store round by round, made of what robots say that they wrote."""
+"""Shared store round by round, computed from the writes that robots recorded."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program.runner import NO_EVENT
 from koordgen.verify.replay.values import plain
 
-Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid
+Shown = Mapping[str, Any]  # a store in JSON; an allread variable is a list by pid
 
 
-class Writes:
-    """What was written in each round. It is applied as agents do: first commits, then plain events by ascending pid."""
+class RecordedWrites:
+    """Recorded writes of each round.
+
+    They are applied as agents do: first commits, then plain events by ascending pid."""
 
     def __init__(self, program: decl.Program, n_sys: int) -> None:
         self.slots = {v.name for v in program.shared if v.kind == "allread"}
@@ -22,21 +24,21 @@ class Writes:
         self._told: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
         self._initial = initial(program, n_sys).store
 
-    def hear(self, pid: int, record: Mapping[str, Any]) -> None:
-        """A robot's record of `init` or of a round."""
+    def add_record(self, pid: int, record: Mapping[str, Any]) -> None:
+        """Add the writes in a robot's record of `init` or of a round."""
         if record.get("shared"):
             plain_event = not self._locks.get(record.get("event") or "", False)
             self._told.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
 
     def first(self) -> Shown:
-        """The store before `init`."""
+        """Return the store before `init`."""
         return {
             **{n: [plain(v) for v in held] for n, held in self._initial.slots.items()},
             **{n: plain(v) for n, v in self._initial.cells.items()},
         }
 
     def after(self, store: Shown, round_: int) -> Shown:
-        """The store after a round, by the one before it; round 0 is `init`."""
+        """Return the store after a round, given the store before it; round 0 is `init`."""
         writes = self._told.get(round_)
         if not writes:
             return store
@@ -50,6 +52,8 @@ class Writes:
 
 
 def had_frame(record: Mapping[str, Any]) -> bool:
-    """Whether a robot looked at its copy of the store in a round: it did unless it skipped before that."""
+    """Return whether a robot read its copy of the store in a round.
+
+    It does unless it skips the round before that."""
     looked = record.get("event") is not None or record.get("fault") is not None
     return looked or record.get("skipped") == NO_EVENT

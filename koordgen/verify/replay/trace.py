@@ -1,6 +1,6 @@
-"""Traces as the replayer reads them: a robot's own, and the merged one of a run.
+"""Traces for the replayer: a robot's own trace, or the merged trace of a run.
 
-A robot's own trace may have several parts (koordgen/runtime/trace/parts.py): they are read as one trace.
+A robot's own trace may have several parts (koordgen/runtime/trace/parts.py). They are read as one trace.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from koordgen.runtime.trace.parts import base_of, numbered
 from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
-LONGEST = 8 << 20  # bytes of a header
+LONGEST = 8 << 20  # largest header in bytes
 KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
-class Line(NamedTuple):
-    """One record, by its number in the file, from 1; in a trace of several parts the numbers go on through them."""
+class TraceLine(NamedTuple):
+    """One record with its line number, from 1.
+
+    In a trace of several parts the numbers continue through the parts."""
 
     number: int
     pid: int
@@ -29,11 +31,13 @@ class Line(NamedTuple):
 
 
 @dataclass
-class Trace:
-    """A trace's header; `robots` are the fleet's names, by pid, empty of robots whose names it does not say. `own`: it
-    is one robot's, `pid` which one. `followed`: of a run that followed a counterexample, a "run" or a "step", else "".
-    `older`: the parts before the one at `path`, oldest first. `lines` reads the rest; when a file ends amid a line,
-    `cut` is its number; when the oldest parts are missing, `since` is the first round that is known."""
+class TraceParts:
+    """One trace.
+
+    `robots`: the fleet's names by pid; empty for robots whose names the header lacks. `own`: it belongs to the robot
+    `pid` alone. `followed`: "run" or "step" if the run executed a counterexample, else "". `older`: the parts before
+    the one at `path`, oldest first. `lines` reads the records. `cut`: line within which a file ends; 0 if none.
+    `since`: first round that is known if the oldest parts are missing."""
 
     path: Path
     app: str
@@ -45,16 +49,16 @@ class Trace:
     followed: str = ""
     older: tuple[Path, ...] = ()
     since: int = 0
-    begins: list[tuple[int, Path]] = field(default_factory=list)  # each part, and the lines that are before it
+    begins: list[tuple[int, Path]] = field(default_factory=list)  # each part, with the number of lines before it
 
     def place(self, number: int) -> str:
         """Return the file of a line that was read, with the line's number in that file."""
         before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
         return f"{path}:{number - before}"
 
-    def lines(self) -> Iterator[Line]:
-        """The records that a replay needs, in their order. Raises BadTrace."""
-        last: dict[int, int] = {}  # the round that each robot told of last
+    def lines(self) -> Iterator[TraceLine]:
+        """Yield the records that a replay needs, in their order. Raises BadTrace."""
+        last: dict[int, int] = {}  # pid -> last recorded round
         for number, record, data in records(self):
             if record.get("kind") not in KINDS:
                 continue
@@ -71,13 +75,13 @@ class Trace:
                 raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
             if record["kind"] in ("init", "round"):
                 last[pid] = record.get("round", 0)
-            yield Line(number, pid, record)
+            yield TraceLine(number, pid, record)
 
 
-def opened(path: Path) -> Trace:
-    """The trace at `path`, with the parts before it. Raises BadTrace."""
+def open_trace(path: Path) -> TraceParts:
+    """Open the trace at `path`, with the parts before it. Raises BadTrace."""
     *older, path = parts_of(path)
-    blank = Trace(path, "", "", (), False, 0)
+    blank = TraceParts(path, "", "", (), False, 0)
     number, header, line = next(records(blank), (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -90,12 +94,12 @@ def opened(path: Path) -> Trace:
             names = tuple(str(robot["name"]) for robot in header["robots"])
             if not 1 <= len(names) <= MOST_ROBOTS:
                 raise ValueError(f"{len(names)} robots")
-            return Trace(path, app, program_hash, names, False, 0, followed=followed)
+            return TraceParts(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
             raise ValueError(f"pid {pid} of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
-        return Trace(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
+        return TraceParts(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
@@ -103,8 +107,8 @@ def opened(path: Path) -> Trace:
 def parts_of(path: Path) -> list[Path]:
     """Return the parts of a robot's trace that ends with the part at `path`, oldest first.
 
-    A part without a header was killed as it began: where `path` is one, or is not there, the newest older part stands
-    for it. Of any other file only `path` itself is returned. Raises BadTrace.
+    A part without a header belongs to a robot that was killed while it started. If `path` is such a part, or is
+    missing, the newest older part replaces it. For any other file only `path` itself is returned. Raises BadTrace.
     """
     try:
         base, number = base_of(path)
@@ -124,8 +128,9 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def header_of(path: Path) -> dict[str, Any] | None:
-    """Return the header of a trace in the present format; None where the file has none. Raises OSError, and BadTrace if
-    this version cannot read the format."""
+    """Return the header of a trace in the present format; None if the file has none.
+
+    Raises OSError, and BadTrace if this version cannot read the format."""
     with path.open("rb") as file:
         line = file.readline(LONGEST)
     try:
@@ -140,15 +145,15 @@ def header_of(path: Path) -> dict[str, Any] | None:
 
 
 def _is_unwritten(path: Path) -> bool:
-    """Return whether not even the first line of a part is whole."""
+    """Return whether the first line of a part is missing or incomplete."""
     if not path.exists():
         return True
     with path.open("rb") as file:
         return not file.readline(LONGEST).endswith(b"\n")
 
 
-def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any], bytes]]:
-    """Every record with the number of its line, and the line, in the present format. Raises BadTrace."""
+def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
+    """Yield each record with the number of its line, and the line, in the present format. Raises BadTrace."""
     trace.begins, number = [], 0
     for path in (*trace.older, trace.path):
         trace.begins.append((number, path))
@@ -165,7 +170,7 @@ def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any], bytes]]:
                         record = json.loads(line)
                     except (ValueError, RecursionError):
                         if line.endswith(b"\n"):
-                            raise BadTrace(f"{trace.place(number)}: no line of JSON, as traces have them") from None
+                            raise BadTrace(f"{trace.place(number)}: not a line of JSON") from None
                         trace.cut = number
                         break
                     if not isinstance(record, dict):

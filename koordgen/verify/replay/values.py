@@ -1,4 +1,4 @@
-"""Values as traces have them, in JSON, and as the executable semantics has them."""
+"""Conversion of values between traces, in JSON, and the executable semantics."""
 
 from __future__ import annotations
 
@@ -31,33 +31,34 @@ from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 
 
 class BadValue(Exception):
-    """What a trace has for a value is none of its type."""
+    """A value in a trace is not of its type."""
 
 
 Number = Callable[[Any], float]  # raises ValueError, TypeError
 
 
-def taken(data: Any, type_: Type, number: Number = float) -> Value:
-    """The value of a type that stands in a trace, whose floats `number` reads; one that is not finite is null there,
-    and becomes NaN. Raises BadValue."""
+def from_trace(data: Any, type_: Type, number: Number = float) -> Value:
+    """Convert a value from a trace, whose floats `number` reads.
+
+    Null stands for a number that is not finite, and becomes NaN. Raises BadValue."""
     try:
-        return _taken(data, type_, number)
+        return _from_trace(data, type_, number)
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):
         raise BadValue(f"{data!r} is no {type_}") from None
 
 
-def _taken(data: Any, type_: Type, number: Number) -> Value:
+def _from_trace(data: Any, type_: Type, number: Number) -> Value:
     match type_:
         case Scalar() | Sized():
             return _plain_of(data, type_, number)
         case Sequence(_, element) | PerRobot(element):
-            return tuple([_taken(part, element, number) for part in data])
+            return tuple([_from_trace(part, element, number) for part in data])
         case MapOf(key, held):
-            return tuple([(_taken(k, key, number), _taken(v, held, number)) for k, v in data])
+            return tuple([(_from_trace(k, key, number), _from_trace(v, held, number)) for k, v in data])
         case TupleOf(items):
-            return tuple([_taken(part, item, number) for part, item in zip(data, items, strict=True)])
+            return tuple([_from_trace(part, item, number) for part, item in zip(data, items, strict=True)])
         case RecordType(name, fields):
-            return RecordValue(name, tuple([_taken(d, t, number) for d, (_, t) in zip(data, fields, strict=True)]))
+            return RecordValue(name, tuple([_from_trace(d, t, number) for d, (_, t) in zip(data, fields, strict=True)]))
         case ExternType():
             return Opaque(b64decode(data[0], validate=True))
         case _:
@@ -98,7 +99,7 @@ def _point(data: Any, number: Number) -> Point:
 
 
 def plain(value: Any) -> Any:
-    """A value as a trace has it."""
+    """Convert a value to its form in a trace."""
     match value:
         case float():
             return value if math.isfinite(value) else None

@@ -22,12 +22,12 @@ class State:
     steering: float = 0.0
 
     def finite(self) -> bool:
-        """Whether every number in it is one."""
+        """Return whether all fields are finite."""
         return all(map(math.isfinite, (self.x, self.y, self.yaw, self.speed, self.steering)))
 
 
 def advance(state: State, seconds: float, wheelbase: float) -> State:
-    """The state after driving on with constant speed and steering: exact, an arc of a circle."""
+    """Return the state after driving on with constant speed and steering: exact, an arc of a circle."""
     travel = state.speed * seconds
     turn = travel * math.tan(state.steering) / wheelbase
     # The chord of an arc of this length: the ratio sin(h)/h stays exact for a straight line, where h is 0.
@@ -43,10 +43,10 @@ def advance(state: State, seconds: float, wheelbase: float) -> State:
 
 
 def turning_radius(steering: float, wheelbase: float) -> float:
-    """The radius, in metres, of the rear axle's circle at a steering angle."""
+    """Return the radius, in metres, of the rear axle's circle at a steering angle."""
     return wheelbase / math.tan(abs(steering))
 
 
 def wrap(angle: float) -> float:
-    """The same angle within -pi to pi."""
+    """Return the same angle within -pi to pi."""
     return math.remainder(angle, 2 * math.pi)

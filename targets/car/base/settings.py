@@ -47,7 +47,7 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_rover(self) -> bool:
-        """Whether an ArduPilot rover drives the car."""
+        """Return whether an ArduPilot rover drives the car."""
         return self.drive.startswith("rover:")
 
     @property
@@ -65,7 +65,7 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def decode(body: Mapping[str, Any]) -> CarSettings:
-    """The settings of one car. Raises Unready, naming the key."""
+    """Return the settings of one car. Raises Unready, naming the key."""
     try:
         settings = msgspec.convert(dict(body), CarSettings)
     except msgspec.ValidationError as error:

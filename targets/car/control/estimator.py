@@ -55,7 +55,7 @@ class Estimator:
             self._wheel = (speed, now)
 
     def speed(self, now: float) -> float | None:
-        """The measured speed, m/s, signed: the drive's, or else from recent positions; None: nobody knows."""
+        """Return the signed speed, m/s, measured by the drive or from recent positions; None if unknown."""
         if self._wheel is not None and now - self._wheel[1] <= WHEEL_FRESH:
             return self._wheel[0]
         if self._sample is not None and now - self._sample[1] <= WHEEL_FRESH:

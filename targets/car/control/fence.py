@@ -21,7 +21,7 @@ _PIECE = 0.02  # metres of the way between two places that are looked at
 
 
 def beyond(fence: Box, x: float, y: float) -> float:
-    """How far outside the geofence a place is, metres along its worst axis; negative inside."""
+    """Return how far outside the geofence a place is, metres along its worst axis; negative inside."""
     (west, east), (south, north) = sorted((fence.lo.x, fence.hi.x)), sorted((fence.lo.y, fence.hi.y))
     return max(west - x, x - east, south - y, y - north)
 

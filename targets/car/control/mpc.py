@@ -98,7 +98,7 @@ class Mpc:
         return self._last
 
     def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
-        """The inputs of a new plan, or why there is none."""
+        """Return the inputs of a new plan, or why there is none."""
         if not state.finite():
             return None, "the car's state is no number"
         if len(reference) != STEPS or not all(r.finite() for r in reference):
@@ -111,7 +111,7 @@ class Mpc:
         return inputs, ""
 
     def _commands(self, before: Command, inputs: list[float]) -> list[Command]:
-        """The commands that inputs come to; each is within reach of the one before."""
+        """Return the commands that result from the inputs; each is reachable from the previous one."""
         plan = []
         for k in range(STEPS):
             wished = Command(before.speed + STEP * inputs[2 * k], before.steering + STEP * inputs[2 * k + 1])
@@ -120,7 +120,7 @@ class Mpc:
         return plan
 
     def _within_reach(self, before: Command, wished: Command) -> Command:
-        """The command next to the wished one that the limits allow after `before`."""
+        """Return the command nearest to the desired one that the limits allow after `before`."""
         limits = self._limits
         faster, further = limits.acceleration * STEP, limits.steering_rate * STEP
         return Command(

@@ -57,7 +57,7 @@ class Trail:
             self._places.pop(0)
 
     def beyond(self, distance: float) -> tuple[float, float] | None:
-        """The place so many metres on, if the target has been moving and goes on straight."""
+        """Return the place so many metres on, if the target has been moving and goes on straight."""
         if distance <= 0 or len(self._places) < 3:
             return None
         (x0, y0), (x1, y1) = self._places[0], self._places[-1]
@@ -177,7 +177,7 @@ class Navigator:
         self.reached = now - self._near_since >= self._settings.reached_dwell
 
     def step(self, state: State, standing: bool, now: float) -> Command | None:
-        """What to drive for the next step; None is: brake. `state.speed` is measured."""
+        """Return the command of the next step, None to brake. `state.speed` is measured."""
         self.watch(state, standing, now)
         command = self._drive(state, standing, now)
         if command is None:
@@ -263,7 +263,7 @@ class Navigator:
         return False
 
     def _plan(self, state: State, away: float, now: float) -> bool:
-        """Whether there is a way to follow; has one planned if needed."""
+        """Return whether there is a path to follow; request one if needed."""
         target = self._target
         if target is None:
             return False
@@ -347,7 +347,7 @@ def _rolls_against(state: State, curve: Curve) -> bool:
 
 
 def _cornering(limits: Limits, radius: float) -> float:
-    """The speed, m/s, in a curve of this radius, metres."""
+    """Return the speed, m/s, in a curve of this radius, metres."""
     return min(limits.speed, math.sqrt(LATERAL * limits.acceleration * radius))
 
 

@@ -134,7 +134,7 @@ class Tracker:
 
     @property
     def last_stretch(self) -> bool:
-        """Whether the segment that ends the path is being driven."""
+        """Return whether the segment that ends the path is being driven."""
         return len(self._tracks) == 1 and not self.done
 
     @property

@@ -8,7 +8,7 @@ EMPTY, _FULL = 3.4, 4.25  # volts of a cell that should be charged, and that no 
 
 
 def doubt(volts: float) -> str:
-    """What to do about it, in words; "" when the voltage is right, or not known (0)."""
+    """Return advice about the voltage; "" if it is in range or unknown (0)."""
     cells = max(1, math.ceil(volts / _FULL))
     if 0.0 < volts / cells < EMPTY:
         return f"{volts / cells:.1f} V a cell, were it {cells} of lithium polymer: charge the battery"

@@ -19,7 +19,7 @@ class Drive(Protocol):
 
     @property
     def heard(self) -> bool:
-        """Whether it has told, since its link was opened, all that must be known before the car moves."""
+        """Return whether the drive has reported all that must be known before the car moves."""
         ...
 
     @property
@@ -66,7 +66,7 @@ class Drive(Protocol):
         ...
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:
-        """Where the drive itself says that the car is, and when that was true, since this was asked last."""
+        """Return where the drive itself says that the car is, and when that was true, since this was asked last."""
         ...
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
@@ -79,7 +79,7 @@ class Drive(Protocol):
         ...
 
     def news(self) -> list[str]:
-        """What happened since this was asked last, for the log."""
+        """Return events since the last call, for the log."""
         ...
 
     def close(self, standing: bool) -> None:

@@ -58,7 +58,7 @@ class Links(Protocol):
         ...
 
     def remembered(self) -> float | None:
-        """The lag that was kept last, here or by an earlier run; None: none was."""
+        """Return the last stored lag, of this run or an earlier one; None if there is none."""
         ...
 
 

@@ -96,7 +96,7 @@ def encode(message: Message) -> bytes:
 
 
 def frame(payload: bytes) -> bytes:
-    """A payload of 1 to 512 bytes between its marks."""
+    """Return a frame with a payload of 1 to 512 bytes."""
     size = len(payload)
     head = bytes([SHORT, size]) if size < 256 else struct.pack(">BH", LONG, size)
     return head + payload + struct.pack(">H", checksum(payload)) + bytes([END])
@@ -116,7 +116,7 @@ class Decoder:
         self.dropped = 0
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages completed by these bytes; those of unknown kind or wrong size are passed over."""
+        """Return the messages that these bytes complete; unknown kinds and wrong sizes are skipped."""
         self._bytes += data
         found: list[Message] = []
         while (payload := self._next()) is not None:

@@ -47,7 +47,7 @@ class Watch(Protocol):
         ...
 
     def news(self) -> list[str]:
-        """What happened since this was asked last, for the log."""
+        """Return events since the last call, for the log."""
         ...
 
     def close(self, standing: bool) -> None:

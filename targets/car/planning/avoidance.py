@@ -132,11 +132,11 @@ class Avoidance:
 
     @property
     def asking(self) -> bool:
-        """Whether an answer is still to come."""
+        """Return whether an answer is pending."""
         return self._driving.waiting
 
     def answer(self) -> tuple[Curve | None, str] | None:
-        """What came to `ask`, once: a way, or None and the reason, which may be "": there simply is no way."""
+        """Return the answer to `ask` once: a path, or None and the reason ("" if there is no path)."""
         answer = self._driving.answer()
         return None if answer is None else (_curve(answer.more) if answer.path else None, answer.reason)
 
@@ -146,7 +146,7 @@ class Avoidance:
         return unreachable(start, target, reason, fixed, self._paths, self._ground.clearance)
 
     def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
-        """Whether a curve towards a target may be driven."""
+        """Return whether a curve towards a target may be driven."""
         ground = self._ground
         seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
         return ground.around(start, target, seen).clear(curve)
@@ -188,7 +188,7 @@ class Avoidance:
         return best
 
     def news(self) -> list[str]:
-        """What went wrong since this was asked last, for the log."""
+        """Return problems since the last call, for the log."""
         told, self._news = [*self._news, *self._program.news(), *self._driving.news()], []
         return told
 

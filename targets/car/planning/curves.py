@@ -47,7 +47,7 @@ class Curve:
         return self._places[1:]
 
     def at(self, station: float) -> Triple:
-        """The pose so many metres along; yaw runs on without jumps."""
+        """Return the pose at this arc length (metres); yaw is continuous."""
         i = min(max(bisect_right(self._stations, station) - 1, 0), len(self.pieces) - 1)
         if i < 0:
             return self.start
@@ -55,7 +55,7 @@ class Curve:
         return along(self._places[i], curvature, math.copysign(station - self._stations[i], way))
 
     def between(self, begin: float, end: float) -> tuple[Piece, ...]:
-        """The pieces from one station to another."""
+        """Return the pieces from one station to another."""
         found = []
         for (curvature, way), at in zip(self.pieces, self._stations, strict=False):
             share = min(end, at + abs(way)) - max(begin, at)
@@ -65,7 +65,7 @@ class Curve:
 
 
 def along(start: Triple, curvature: float, way: float) -> Triple:
-    """The pose after driving `way` metres (negative: in reverse) at a curvature: exact."""
+    """Return the pose after driving `way` metres (negative: in reverse) at a curvature: exact."""
     x, y, yaw = start
     half = curvature * way / 2
     chord = way * math.sin(half) / half if half else way
@@ -73,7 +73,7 @@ def along(start: Triple, curvature: float, way: float) -> Triple:
 
 
 def reeds_shepp(start: Triple, goal: Triple, radius: float, length: float | None = None) -> Curve:
-    """The shortest curve between two poses in both gears; when its `length` is known, it is found sooner."""
+    """Return the shortest curve between two poses in both gears; when its `length` is known, it is found sooner."""
     x, y, phi = seen_from(start, goal, radius)
     wanted = -math.inf if length is None else (length + SAME) / radius
     best, turns = math.inf, ("", ())  # type: tuple[float, Word]
@@ -87,7 +87,7 @@ def reeds_shepp(start: Triple, goal: Triple, radius: float, length: float | None
 
 
 def dubins(start: Triple, goal: Triple, radius: float, length: float | None = None) -> Curve:
-    """The shortest curve between two poses that only goes forwards."""
+    """Return the shortest curve between two poses that only goes forwards."""
     x, y, phi = seen_from(start, goal, radius)
     d, theta = math.hypot(x, y), math.atan2(y, x)
     words = _forward_words(d, -theta, phi - theta)
@@ -95,7 +95,7 @@ def dubins(start: Triple, goal: Triple, radius: float, length: float | None = No
 
 
 def seen_from(start: Triple, goal: Triple, unit: float = 1.0) -> Triple:
-    """A pose in the frame of another, in multiples of `unit`: ahead, to the left, turned by."""
+    """Return a pose in the frame of another, in multiples of `unit`: ahead, to the left, turned by."""
     x, y = (goal[0] - start[0]) / unit, (goal[1] - start[1]) / unit
     c, s = math.cos(start[2]), math.sin(start[2])
     return c * x + s * y, c * y - s * x, wrap(goal[2] - start[2])

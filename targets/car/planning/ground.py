@@ -48,7 +48,7 @@ class Things:
         self._near: dict[tuple[int, int], list[Kept]] = {}
 
     def around(self, x: float, y: float) -> list[Kept]:
-        """What may be within reach of a footprint whose middle is there."""
+        """Return the obstacles that a footprint with this centre may touch (broad phase)."""
         key = (math.floor(x / CELL), math.floor(y / CELL))
         found = self._near.get(key)
         if found is None:
@@ -160,7 +160,7 @@ class Way:
         return free
 
     def _beginning(self, shape: Shape) -> float | None:
-        """The distance to keep from a shape; None: the car is in it."""
+        """Return the distance to keep from a shape; None: the car is in it."""
         clearance = self._ground.clearance
         west, south, east, north = shape.bounds
         x, y = self._middle(*self._start)
@@ -240,7 +240,7 @@ def _passable(table: ShapeTable, cells: Cells) -> Mask:
 
 
 def area(world: World, margin: float = MARGIN) -> Area:
-    """Where the reference point may be."""
+    """Return the free space of the reference point."""
     lo, hi = world.arena.lo, world.arena.hi
     (west, east), (south, north) = sorted((lo.x, hi.x)), sorted((lo.y, hi.y))
     margin = min(margin, (east - west) / 2, (north - south) / 2)
@@ -248,7 +248,7 @@ def area(world: World, margin: float = MARGIN) -> Area:
 
 
 def ground(world: World) -> Ground:
-    """The car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
+    """Return the car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
     body = Footprint(*world.footprint, world.overhang)
     fixed = standing(world.obstacles, world.height)
     return Ground(body, 1 / world.turning_radius, area(world), fixed, max(world.clearance, world.error))

@@ -72,7 +72,7 @@ class Area:
         return self.west <= x <= self.east and self.south <= y <= self.north
 
     def depth(self, x: float, y: float) -> float:
-        """How far from its edge a place in it is."""
+        """Return how far from its edge a place in it is."""
         return min(x - self.west, self.east - x, y - self.south, self.north - y)
 
     def with_point(self, x: float, y: float) -> Area:
@@ -131,7 +131,7 @@ def points(curve: Curve) -> list[Point2]:
 
 
 def _off(a: Point2, b: Point2, p: Point2) -> float:
-    """The distance of p from the straight line between a and b."""
+    """Return the distance of p from the straight line between a and b."""
     ex, ey, px, py = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]
     square = ex * ex + ey * ey
     share = max(0.0, min(1.0, (px * ex + py * ey) / square)) if square else 0.0

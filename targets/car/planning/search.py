@@ -101,7 +101,7 @@ class Search:
                     yield bearing - side * aside + math.pi
 
     def direct(self, task: Task, way: Way) -> Curve | None:
-        """The cheapest single curve that is clear."""
+        """Return the cheapest collision-free single curve."""
         curves = [
             (space.distance(task.start, (*task.goal, heading)), heading, i)
             for i, space in enumerate(self._spaces)
@@ -197,7 +197,7 @@ class Search:
         return None if poses is None else self._joined(task.start, poses, way)
 
     def _joined(self, start: Triple, poses: list[Triple], way: Way) -> Curve | None:
-        """A solution as one curve. Of two equally short curves, a tree may have looked at the other one."""
+        """Return a solution as one curve. Of two equally short curves, a tree may have looked at the other one."""
         pieces: list[Piece] = []
         at = start
         for pose in poses:
@@ -210,7 +210,7 @@ class Search:
 
 
 def merged(pieces: list[Piece] | tuple[Piece, ...]) -> tuple[Piece, ...]:
-    """The same with neighbours of equal curvature and direction as one."""
+    """Return the curve with neighbouring pieces of equal curvature and direction merged."""
     found: list[Piece] = []
     for curvature, way in pieces:
         if found and found[-1][0] == curvature and found[-1][1] * way > 0:

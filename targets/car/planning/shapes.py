@@ -58,7 +58,7 @@ class Footprint:
         return math.hypot(max(self.front, self.overhang), self.width / 2)
 
     def pace(self, curvature: float) -> float:
-        """The way that any place of the outline makes at most while the reference point makes one metre."""
+        """Return the way that any place of the outline makes at most while the reference point makes one metre."""
         return math.hypot(1 + curvature * self.width / 2, curvature * max(self.front, self.overhang))
 
     def distance(self, x: float, y: float, yaw: float, shape: Shape) -> float:
@@ -224,7 +224,7 @@ def _shapes(body: Obstacle, height: float, name: str) -> Iterator[Shape]:
 
 
 def _cut(corners: list[Point], low: float, high: float) -> list[Point]:
-    """The part of a convex polygon between two heights (I. E. Sutherland and G. W. Hodgman, 1974)."""
+    """Return the part of a convex polygon between two heights (I. E. Sutherland and G. W. Hodgman, 1974)."""
     for level, sign in ((low, 1.0), (high, -1.0)):
         kept: list[Point] = []
         for p, q in pairwise((*corners, *corners[:1])):

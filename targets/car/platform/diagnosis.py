@@ -30,7 +30,7 @@ MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
 
 
 def limits(settings: CarSettings, fence: Box) -> Finding:
-    """Whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
+    """Return whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
     radius, room = settings.planned_radius, min(fence.hi.x - fence.lo.x, fence.hi.y - fence.lo.y)
     erpm = 0.0 if settings.is_rover else abs(settings.max_speed * settings.speed_to_erpm_gain)
     share = settings.max_speed / settings.full_speed
@@ -54,7 +54,7 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
 
 
 def slow(lag: float) -> str:
-    """A motor's lag (s) that is too long, and what to do about it, in words."""
+    """Return a motor's lag (s) that is too long, and what to do about it, in words."""
     return (
         f"the motor follows its commands with a lag of {lag:.1f} s, the car is driven exactly up to {LONGEST_LAG:g} s: "
         "it overshoots and may circle its targets; tune the motor controller's speed loop, raise a rover's "
@@ -63,7 +63,7 @@ def slow(lag: float) -> str:
 
 
 def lag_findings(lag: float | None) -> list[Finding]:
-    """The motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
+    """Return the motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
     if lag is None:
         return []
     told = f"{lag:.1f} s when the car drove last"
@@ -73,7 +73,7 @@ def lag_findings(lag: float | None) -> list[Finding]:
 
 
 def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Whether the drive answers, and what it says of itself; it is opened and closed."""
+    """Return whether the drive answers, and its report. Opens and closes the drive."""
     try:
         drive = opened(settings, links, frame)
     except Unready as error:
@@ -107,7 +107,7 @@ def _answering(drive: Drive) -> Finding:
 
 
 def watchdog_finding(links: Links) -> Finding:
-    """Whether a watchdog can be started and answers; what it holds meanwhile is nothing."""
+    """Return whether a watchdog can be started and answers; what it holds meanwhile is nothing."""
     watch = links.watchdog()
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -152,7 +152,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
 
 
 def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
-    """The same of a drive that knows where it is; it is opened and closed."""
+    """Return the same of a drive that knows where it is; it is opened and closed."""
     came: list[float] = []
     place = Point()
     try:

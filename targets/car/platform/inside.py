@@ -9,7 +9,7 @@ from typing import Any
 
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.vehicle.datagrams import DatagramLink
-from koordgen.runtime.vehicle.inside import Exchange, Inside, Stream
+from koordgen.runtime.vehicle.simulator_services import Exchange, SimulatorServices, Stream
 from targets.car.base.settings import FROM_DRIVE
 from targets.car.drive.links import ByteLink, Nowhere
 from targets.car.drive.rover import Route
@@ -20,15 +20,15 @@ from targets.mavlink.inside import Direct
 from targets.planning.process import bounded
 
 
-def made(settings: Settings, key: bytes | None, inside: Inside) -> Car:
-    """See koordgen.runtime.vehicle.inside."""
+def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Car:
+    """See koordgen.runtime.vehicle.simulator_services."""
     return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
 
 
 class InsideLinks:
     """Implements `links.Links`."""
 
-    def __init__(self, inside: Inside) -> None:
+    def __init__(self, inside: SimulatorServices) -> None:
         self._inside = inside
         self._drive: Callable[[bytes], object] = lambda data: None  # where the watchdog writes to
 

@@ -285,7 +285,7 @@ class Car:
             navigator.go_to((following.x, following.y))
 
     def _obstacle(self, drive: Drive, now: float) -> str:
-        """What forbids driving now, in words; "" when nothing does."""
+        """Return the reason that forbids driving now; "" if there is none."""
         if self._resting_since is not None:
             return "at rest" if self.rested else "braking to rest"
         if drive.blocked:
@@ -327,7 +327,7 @@ class Car:
         return self._blocked or self._avoidance.refusal or stall or idle
 
     def sense(self, now: float) -> Sensed:
-        """The filtered pose, run on to `now`."""
+        """Return the filtered pose, extrapolated to `now`."""
         state = self._estimator.state
         position = Point(state.x, state.y, 0.0)
         speed = self._estimator.speed(now) or 0.0
@@ -440,7 +440,7 @@ class Car:
 
 
 def _notes(settings: Settings) -> Path | None:
-    """The file beside the bundle in which the motor's lag is kept."""
+    """Return the file beside the bundle in which the motor's lag is kept."""
     if settings.state is None:
         return None
     return Path(__file__).resolve().parents[4] / settings.state / f"{settings.robot}.lag"

@@ -12,8 +12,8 @@ from typing import Protocol
 
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.values.points import Point, Pose
-from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Finding
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
 from targets.car.control.mpc import Command
 from targets.car.drive.drive import Drive
 from targets.car.drive.links import Links, Nowhere
@@ -120,6 +120,6 @@ class SimpleCar(Car):
         return drive, nowhere
 
 
-def inside(settings: Settings, key: bytes | None, surroundings: Inside, body: Driver) -> SimpleCar:
-    """In a simulator that owns time; see koordgen.runtime.vehicle.inside."""
+def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, body: Driver) -> SimpleCar:
+    """In a simulator that owns time; see koordgen.runtime.vehicle.simulator_services."""
     return SimpleCar(settings, key, body, InsideLinks(surroundings), partial(bounded, surroundings), surroundings.now)

@@ -20,7 +20,7 @@ from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.telemetry import Streams, Telemetry
 from targets.quad.autopilot.vehicles import identified
 
-SILENCE = 5.0  # seconds without any heartbeat, of which there is one each second, after which none is waited for
+SILENCE = 5.0  # seconds without a heartbeat (one per second is sent) that end the check
 DEADLINE = 9.5  # seconds for a position estimate to come
 WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
 _PAUSE = 0.05
@@ -120,7 +120,7 @@ def listen(
 
 
 def coordinates(p: Point) -> str:
-    """A point in words, to the centimetre and without negative zeros."""
+    """Return a point in words, to the centimetre and without negative zeros."""
     x, y, z = (round(v, 2) + 0.0 for v in (p.x, p.y, p.z))
     return f"({x:.2f}, {y:.2f}, {z:.2f})"
 
@@ -139,7 +139,7 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
 
 
 def unheard(url: str, link: Link, seconds: float) -> Unready:
-    """What to say of a vehicle that is silent."""
+    """Return what to say of a vehicle that is silent."""
     if link.heard is not None:
         heard = "the autopilot has fallen silent"
     else:
@@ -160,5 +160,5 @@ RIVAL = (
 
 
 def stranger(url: str, what: str) -> Unready:
-    """What to say of a vehicle that is no copter of ours."""
+    """Return what to say of a vehicle that is no copter of ours."""
     return Unready(f"{url} is {what}, not an ArduPilot or PX4 copter", "check the robot's `autopilot` setting")

@@ -43,7 +43,7 @@ _SENSORS = {
 
 
 def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
-    """What there is to say, what is to be repaired first coming first."""
+    """Return what there is to say, what is to be repaired first coming first."""
     link = heard.link
     if link.vehicle is None:
         return [Finding.of("link", unheard(url, link, heard.ended - heard.began))]
@@ -91,7 +91,7 @@ def _version(what: str, heard: Heard) -> Finding:
 
 
 def _parameters(heard: Heard) -> list[Finding]:
-    """Each that differs on a line of its own."""
+    """Return one finding for each parameter that differs."""
     if heard.parameters is None:
         return []
     wrong = heard.parameters.differences
@@ -118,7 +118,7 @@ def _armed(heard: Heard) -> list[Finding]:
 
 
 def _estimate(heard: Heard) -> Finding:
-    """The estimator's flags (of equal bits in both reports) and how much its sensors disagree."""
+    """Return the estimator's flags (equal bits in both reports) and its innovation ratios."""
     report = heard.newest.get(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
     report = report or heard.newest.get(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS)
     if heard.telemetry.position is None:
@@ -165,7 +165,7 @@ def _place(heard: Heard, fence: Box, height: float) -> list[Finding]:
 
 
 def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
-    """The EKF's own origin: where the vehicle was when it learned its position."""
+    """Return the EKF's own origin: where the vehicle was when it learned its position."""
     message = heard.newest.get(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
     if message is None:
         return []
@@ -196,7 +196,7 @@ def _name(message: int) -> str:
 
 
 def _battery(heard: Heard) -> list[Finding]:
-    """SYS_STATUS: millivolts, 0 and 65535 where nobody measures; percent, -1 likewise."""
+    """Check the battery by SYS_STATUS: millivolts (0 or 65535: not measured) and percent (-1: not measured)."""
     status = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
     if status is None:
         return []

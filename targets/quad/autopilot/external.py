@@ -25,7 +25,7 @@ _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def gps_input(frame: LocalFrame, pose: Pose, velocity: Point, unix: float) -> Message:
-    """A fix at `unix` (seconds since 1970): position, velocity (m/s, ENU), yaw and how good they are."""
+    """Return a fix at `unix` (seconds since 1970): position, velocity (m/s, ENU), yaw and how good they are."""
     p = pose.position
     latitude, longitude, altitude = frame.geodetic(p.x, p.y, p.z)
     vn, ve, vd = frame.ned(latitude, longitude, velocity.x, velocity.y, velocity.z)

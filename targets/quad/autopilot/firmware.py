@@ -27,5 +27,5 @@ class Firmware:
     bytewise: bool  # how it sends integer parameters, where it does not say
 
     def mode(self, number: int | None) -> str:
-        """The mode's name."""
+        """Return the mode's name."""
         return "no mode" if number is None else self.modes.get(number, f"mode {number}")

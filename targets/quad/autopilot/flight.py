@@ -202,7 +202,7 @@ class Flight:
 
     @property
     def _ends_itself(self) -> bool:
-        """Whether the mode is one that ends on the ground by itself."""
+        """Return whether the mode ends on the ground by itself."""
         return self._telemetry.mode == self._firmware.lands or self._telemetry.mode in self._firmware.returns
 
     def _switch(self, now: float) -> None:
@@ -359,11 +359,11 @@ class Flight:
             )
 
     def _set_mode(self, mode: int, now: float) -> int:
-        """How often it was asked for in this phase."""
+        """Return how often the command was sent in this phase."""
         return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.ask_mode(mode)).times
 
     def _explained(self, doing: str, command: int, now: float) -> str:
-        """What is being done, the answer to it, and the autopilot's own words."""
+        """Return what is being done, the answer to it, and the autopilot's own words."""
         asked = self._link.asked(command)
         if asked is None or (asked.result is None and asked.times < 3):
             return doing

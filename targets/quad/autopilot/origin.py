@@ -76,7 +76,7 @@ class Origin:
 
     @property
     def known(self) -> bool:
-        """Whether `ned` is right: the autopilot has reported its origin, or it has none that it could report."""
+        """Return whether `ned` is right: the autopilot has reported its origin, or it has none that it could report."""
         return self._told is not None or (self._asked > 1 and not self._placed)
 
     def poll(self, link: Link, pose: Pose | None, now: float) -> None:

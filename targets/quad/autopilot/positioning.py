@@ -216,7 +216,7 @@ class Positioning:
         return [came, *self._followed(state)]
 
     def _followed(self, state: Telemetry) -> list[Finding]:
-        """How far the estimate is from the source; nothing without one, which is told elsewhere."""
+        """Return the distance of the estimate from the source; nothing without a source."""
         if (off := self._apart(state)) is None:
             return []
         told = f"{off:.2f} m from the position source"

@@ -33,7 +33,7 @@ class Track:
         self.jumps = 0  # samples refused
 
     def take(self, pose: Pose, time: float) -> bool:
-        """Whether the sample is believed. One that is not newer than the last is neither believed nor a jump."""
+        """Return whether the sample is accepted. One not newer than the last is neither accepted nor a jump."""
         if time <= self._last:
             return False
         since, self._last = time - self._last, time
@@ -70,7 +70,7 @@ class Track:
         self.pose, self._refusing = None, None
 
     def at(self, time: float) -> Point | None:
-        """Where the vehicle was or will be by this motion, within WHILE seconds of the last sample."""
+        """Return the extrapolated position, within WHILE seconds of the last sample."""
         if self.pose is None:
             return None
         return self.pose.position + self.velocity * max(-WHILE, min(WHILE, time - self.time))

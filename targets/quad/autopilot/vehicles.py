@@ -23,7 +23,7 @@ FIRMWARES = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, mavlink.MAV_AUTOPIL
 
 
 def identified(link: Link) -> tuple[str, Firmware | None]:
-    """What the vehicle is, in words, and its firmware; None when it is none that this target can fly."""
+    """Return what the vehicle is, in words, and its firmware; None when it is none that this target can fly."""
     vehicle = link.vehicle
     if vehicle is None:
         return "nothing", None

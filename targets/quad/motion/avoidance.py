@@ -73,7 +73,7 @@ class Avoidance:
 
     @property
     def waiting(self) -> str:
-        """What is not there yet, in words; "" when all is."""
+        """What the quad still waits for; "" if nothing."""
         return "" if self._planning.ready else "waiting for the planner"
 
     def others(self, paths: Mapping[int, Path]) -> None:
@@ -197,11 +197,11 @@ class Avoidance:
         return answer.path
 
     def _lifted(self, p: Point) -> Point:
-        """Where the quad goes when it is told to go to p."""
+        """Return the actual target of the quad for the commanded target p."""
         return clamp(self._room, p)
 
     def news(self) -> list[str]:
-        """What went wrong since this was asked last, for the log."""
+        """Return problems since the last call, for the log."""
         told, self._news = [*self._news, *self._planning.news()], []
         return told
 

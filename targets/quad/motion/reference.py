@@ -96,7 +96,7 @@ class Reference:
 
     @property
     def final(self) -> bool:
-        """Whether no waypoint but the last is ahead."""
+        """Return whether only the last waypoint is ahead."""
         return self._behind() >= len(self._points) - 1
 
     @property
@@ -119,7 +119,7 @@ class Reference:
 
     @property
     def waits(self) -> bool:
-        """Whether the vehicle is too far away for it to move."""
+        """Return whether the vehicle is too far from the reference for it to move."""
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
@@ -205,7 +205,7 @@ class Reference:
         self.alone = self.paused or self.waits or self.stood >= SETTLED or (self.alone and short)
 
     def at(self, seconds: float) -> State:
-        """The state in so many seconds, as far as is known now. Only when it was started."""
+        """Return the predicted state after this many seconds. Only after the start."""
         assert self._trajectory is not None
         state, turn = self._trajectory.at(self._elapsed + self._rate * seconds), self._pursuit.acceleration
         return State(
@@ -224,7 +224,7 @@ class Reference:
         return self._trajectory.at(self._elapsed)
 
     def _behind(self) -> int:
-        """How many of the points are behind."""
+        """Return the number of passed points."""
         if self._trajectory is None or self.paused:
             return self._passed
         return min(self._passed + self._trajectory.ahead(self._elapsed), len(self._points))
@@ -244,7 +244,7 @@ class Reference:
         self._trajectory = plan(state, ahead, self.limits)
 
     def _kept(self, trajectory: Trajectory) -> bool:
-        """Whether it can be braked within the box as long as it may be followed without anything new."""
+        """Return whether it can be braked within the box as long as it may be followed without anything new."""
         seconds = self._pursuit.until - self._time + 0.1
         steps = math.ceil(seconds / 0.1)
         return all(self.limits.safe(trajectory.at(seconds * i / steps)) for i in range(steps + 1))

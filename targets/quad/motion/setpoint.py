@@ -116,12 +116,12 @@ def runs_on(speed: float, braking: float = BRAKING[0]) -> float:
 
 
 def _scaled(p: Point, by: tuple[float, float]) -> Point:
-    """The vector times a factor for its horizontal and one for its vertical part."""
+    """Return the vector times a factor for its horizontal and one for its vertical part."""
     return Point(p.x * by[0], p.y * by[0], p.z * by[1])
 
 
 def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> Aim:
-    """The same demand, with as much velocity as leads to no face of the box when the vehicle runs on."""
+    """Return the same demand, with as much velocity as leads to no face of the box when the vehicle runs on."""
     axes = [
         _axis(p, v, lo, hi, late, runs_on(abs(v), braking))
         for p, v, lo, hi, late, braking in zip(

@@ -41,8 +41,9 @@ class Limits:
     box: Box
 
     def top(self, direction: Point, drift: Point = ZERO) -> float:
-        """The largest s, not negative, at which the velocity s * direction + drift is within the limits. `direction` is
-        a unit vector, `drift` itself within the limits."""
+        """Return the largest s >= 0 at which the velocity s * direction + drift is within the limits.
+
+        `direction` is a unit vector; `drift` itself is within the limits."""
         return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
 
     def most(self, along: float, up: float, drift_up: float, room: float) -> float:
@@ -56,16 +57,16 @@ class Limits:
         return max(0.0, s)
 
     def limited(self, velocity: Point) -> Point:
-        """The velocity, shortened until it is within the limits."""
+        """Return the velocity, scaled down to the limits."""
         size = norm(velocity)
         return velocity if size < _STILL else velocity * min(1.0, self.top(velocity / size) / size)
 
     def stop(self, state: State) -> Point:
-        """Where braking from this state ends."""
+        """Return the position at which braking from this state ends."""
         return state.position + state.velocity * (norm(state.velocity) / (2 * self.acceleration))
 
     def safe(self, state: State) -> bool:
-        """Whether braking from this state ends within the box."""
+        """Return whether braking from this state ends within the box."""
         return inside(self.box, self.stop(state))
 
 
@@ -79,7 +80,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """So many seconds of constant acceleration. `ahead` is the index of the waypoint that comes next."""
+    """A time of constant acceleration, in seconds. `ahead` is the index of the next waypoint."""
 
     seconds: float
     start: State
@@ -87,7 +88,7 @@ class Piece:
     ahead: int
 
     def at(self, t: float) -> State:
-        """The state t seconds after the piece's beginning."""
+        """Return the state t seconds after the piece's beginning."""
         v = self.start.velocity
         return State(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
 
@@ -104,7 +105,7 @@ class Trajectory:
         self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, its greatest speed
 
     def at(self, t: float) -> State:
-        """The state t seconds after the beginning, t not negative."""
+        """Return the state t seconds after the beginning, t not negative."""
         i = bisect_right(self._ends, t)
         if i == len(self.pieces):
             return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
@@ -126,7 +127,7 @@ class Trajectory:
         return found
 
     def ahead(self, t: float) -> int:
-        """The index of the waypoint that comes next, or the number of waypoints at the end."""
+        """Return the index of the waypoint that comes next, or the number of waypoints at the end."""
         i = bisect_right(self._ends, t)
         return self.pieces[i].ahead if i < len(self.pieces) else self._waypoints
 
@@ -162,8 +163,10 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
 
 
 def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
-    """The first piece: from the velocity that there is to one towards the goal, as fast as allows to stop there;
-    braking when nothing better stays within the limits. No piece when nothing moves yet."""
+    """Return the first piece, from the present velocity to one towards the goal.
+
+    The new velocity is the fastest one that allows to stop at the goal. If nothing better stays within the limits, the
+    piece brakes. No piece if the vehicle is at rest."""
     speed = norm(start.velocity)
     if speed < _STILL:
         return []
@@ -295,7 +298,7 @@ def _straight(
 
 
 def norm(v: Point) -> float:
-    """The length of a vector."""
+    """Return the length of a vector."""
     return math.hypot(v.x, v.y, v.z)
 
 

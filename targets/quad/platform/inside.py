@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import partial
 
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.vehicle.inside import Inside
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
 from targets.mavlink.inside import Direct
 from targets.planning.process import bounded
 from targets.quad.platform.platform import Quad
 
 
-def made(settings: Settings, key: bytes | None, inside: Inside) -> Quad:
-    """See koordgen.runtime.vehicle.inside."""
+def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Quad:
+    """See koordgen.runtime.vehicle.simulator_services."""
     return Quad(
         settings,
         key,

@@ -180,7 +180,7 @@ class Quad:
             self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, Aim(p)))
 
     def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
-        """The parameters that matter on this firmware, with these settings."""
+        """Return the parameters that matter on this firmware, with these settings."""
         fed = self._positioning.wanted(firmware) if self._positioning is not None else ()
         if self._body.allow_no_failsafe:
             return (*(replace(w, vital=False) for w in firmware.parameters), *fed)

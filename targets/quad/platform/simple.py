@@ -15,9 +15,9 @@ from typing import Protocol
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.datagrams import DatagramLink
-from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from koordgen.runtime.vehicle.scans import listen_for_scans
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
 from targets.planning.process import Beside, bounded
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.avoidance import MakePlanning
@@ -30,7 +30,7 @@ GAIN = 2.0  # 1/s: velocity by distance from the reference
 TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, rad/s
 SINKING = 0.5  # m/s, landing
 ARRIVED = 0.05  # m below the flight height at which the climb is over
-LANDED, SETTLING = 0.05, 0.5  # m, s: so low for so long it is on the ground
+LANDED, SETTLING = 0.05, 0.5  # m, s: below this height for this long, it counts as landed
 GONE = 10.0  # s without a word of the body after which a landing quad waits no longer: its simulator has ended
 
 
@@ -88,7 +88,7 @@ class SimpleMotion(Motion):
 
 
 def turning(yaw: float | None, wanted: float | None) -> float:
-    """The yaw rate towards a heading."""
+    """Return the yaw rate towards a heading."""
     if yaw is None or wanted is None:
         return 0.0
     off = (wanted - yaw + math.pi) % math.tau - math.pi
@@ -210,8 +210,8 @@ class SimpleQuad(Quad):
         self._avoidance.close()
 
 
-def inside(settings: Settings, key: bytes | None, surroundings: Inside, flyer: Flyer) -> SimpleQuad:
-    """In a simulator that owns time; see koordgen.runtime.vehicle.inside."""
+def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, flyer: Flyer) -> SimpleQuad:
+    """In a simulator that owns time; see koordgen.runtime.vehicle.simulator_services."""
     return SimpleQuad(
         settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
     )  # fmt: skip

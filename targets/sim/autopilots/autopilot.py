@@ -1,4 +1,6 @@
-"""A simulated copter, ArduPilot's or PX4's: speaks MAVLink 2 to a robot's agent and flies a body."""
+"""Simulated copter autopilot (ArduPilot or PX4).
+
+Talks MAVLink 2 to an agent and flies a simulated body."""
 
 from __future__ import annotations
 
@@ -11,19 +13,19 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
-from targets.sim.autopilots.mavlink_estimate import Estimator
-from targets.sim.autopilots.mavlink_params import DEVELOPMENT, VERSION, Parameters
+from targets.sim.autopilots.mavlink_estimate import SimulatedEstimator
+from targets.sim.autopilots.mavlink_params import DEVELOPMENT, VERSION, SimulatedParameters
 from targets.sim.autopilots.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.autopilots.mavlink_reports import Reports
-from targets.sim.autopilots.mavlink_setpoints import reposition, take_setpoint
-from targets.sim.autopilots.mavlink_telemetry import Message, Telemetry
+from targets.sim.autopilots.mavlink_setpoints import handle_setpoint, reposition
+from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
 from targets.sim.base.bodies import DeviceContext, Quadrotor
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Port
 from targets.sim.base.scenario import BadScenario
-from targets.sim.base.upset import Upset
 
-REAL_BOOT = 42.0  # seconds of a cold start, as observed
-SPIN = math.radians(60)  # rad/s, as observed on a build with the fault that `Copter.spins` describes
+REAL_BOOT = 42.0  # seconds of a cold start, as measured on a real autopilot
+SPIN = math.radians(60)  # rad/s, as measured on a build with the fault that `Copter.spins` describes
 _SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -32,11 +34,13 @@ _HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
 
 
 class SimulatedAutopilot:
-    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `spool_up` (s, of an ArduPilot),
-    `firmware`, `version` (of ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an
-    error that wanders, as that of a real estimate does). The robot's own `positioning` says what its parameters were
-    set for: without a GPS of its own it believes what it is told. `copter` is its inner state, for tests and scenarios
-    to upset."""
+    """Device that stands in for an ArduPilot or PX4 autopilot.
+
+    Settings of the fleet file under the simulator: `boot` (seconds, or "real"), `spool_up` (s, ArduPilot only),
+    `firmware`, `version` (of ArduPilot; decides the names of parameters), `position_noise` (m, standard deviation of an
+    error that wanders, as the error of a real estimate does). The parameters are preset for the robot's own setting
+    `positioning`; without a GPS of its own, the autopilot relies on the positions that it receives. `copter` is the
+    inner state, which tests and scenarios may change."""
 
     def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
         self._body = body
@@ -44,22 +48,22 @@ class SimulatedAutopilot:
         self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mavlink.robust_parsing = True
         self._last: float | None = None
-        self._dead = False  # its process has aborted: silence, and no thrust
-        self.dropped = 0  # datagrams and messages that were damaged or not for us
+        self._dead = False  # true once its process has aborted: it is silent and gives no thrust
+        self.dropped = 0  # datagrams and messages that were damaged or addressed to another system
         harness = context.harness
         boot = harness.get("boot", 3.0)
         boot = REAL_BOOT if boot == "real" else _seconds("boot", boot, 600.0, ", or `real`")
         positioning = str(context.settings.get("positioning", ""))
-        params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
+        params = SimulatedParameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
         firmware = str(harness.get("firmware", "ardupilot"))
         spool_up = _seconds("spool_up", harness.get("spool_up", SPOOL_UP), 10.0)
-        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.upset)
+        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.fault_state)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
-        self.copter.estimator = self._estimator = Estimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
+        self.copter.estimator = self._estimator = SimulatedEstimator(
+            params, self._frame, boot, noise, seed, self.copter.say, context.fault_state, self.copter.resets_datum
         )
-        self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
-        self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
+        self._parameters_to_send: deque[str] = deque()  # parameters still to be sent for PARAM_REQUEST_LIST
+        self._telemetry = SimulatedTelemetry(self._reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -67,15 +71,17 @@ class SimulatedAutopilot:
         self._port = port
 
     def _firmware(
-        self, name: str, boot: float, spool_up: float, params: Parameters, upset: Upset
+        self, name: str, boot: float, spool_up: float, params: SimulatedParameters, fault_state: FaultState
     ) -> tuple[Copter, Reports, Mapping[int, float]]:
-        """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
+        """Return the state machine of a firmware, its reports, and its default stream rates.
+
+        Raises BadScenario."""
         if name == "ardupilot":
             copter = Copter(boot, params, spool_up)
-            return copter, Reports(copter, self._frame, upset), _HEARTBEATS
+            return copter, Reports(copter, self._frame, fault_state), _HEARTBEATS
         if name == "px4":
             px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
-            return px4, Px4Reports(px4, self._frame, upset), STREAMS
+            return px4, Px4Reports(px4, self._frame, fault_state), STREAMS
         raise BadScenario(f"firmware is {name!r}", "there are: ardupilot, px4")
 
     def step(self, now: float) -> None:
@@ -88,8 +94,8 @@ class SimulatedAutopilot:
         self._estimator.step(self._body.state(), now, dt)
         if self._receive(now):
             self._fly(now, dt)
-            if self._listed:
-                self._answer_param(self._listed.popleft())
+            if self._parameters_to_send:
+                self._answer_param(self._parameters_to_send.popleft())
             self._telemetry.step(now)
 
     def close(self) -> None:
@@ -97,10 +103,10 @@ class SimulatedAutopilot:
         self._port.close()
 
     def _receive(self, now: float) -> bool:
-        """Obey what has come; False when that was the end."""
+        """Handle all received messages. Return False once the autopilot has aborted."""
         for datagram in self._port.receive():
             for message in self._decoded(datagram):
-                self._take(message, now)
+                self._handle(message, now)
         return not self._dead
 
     def _fly(self, now: float, dt: float) -> None:
@@ -113,7 +119,7 @@ class SimulatedAutopilot:
         guidance = copter.guidance
         if copter.landed:
             guidance.rest()
-            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
+            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # motors idle on the ground
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
             turning = guidance.turning(estimate.yaw, dt)
@@ -124,7 +130,7 @@ class SimulatedAutopilot:
         self._mavlink.buf_index = 0
         try:
             messages = self._mavlink.parse_buffer(datagram) or []
-        except Exception:  # generated code on hostile bytes
+        except Exception:  # pymavlink's generated code may raise anything on hostile bytes
             self.dropped += 1
             return []
         good = [m for m in messages if m.get_msgId() >= 0]
@@ -135,7 +141,7 @@ class SimulatedAutopilot:
         self._port.send(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
-    def _take(self, message: Message, now: float) -> None:
+    def _handle(self, message: Message, now: float) -> None:
         if getattr(message, "target_system", 0) not in (0, 1):
             self.dropped += 1
             return
@@ -150,46 +156,46 @@ class SimulatedAutopilot:
                     )
                 )  # fmt: skip
             case number if number in _SETPOINTS:
-                if not take_setpoint(message, self.copter, self._frame, now):
+                if not handle_setpoint(message, self.copter, self._frame, now):
                     self._dead = True
                     self._body.motors(False)
             case _:
-                self._take_feed(message, now)
-                self._take_param(message)
+                self._handle_positioning(message, now)
+                self._handle_parameter(message)
 
-    def _take_feed(self, message: Message, now: float) -> None:
+    def _handle_positioning(self, message: Message, now: float) -> None:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_GPS_INPUT:
-                self._estimator.take_gps(message, now)
+                self._estimator.receive_gps(message, now)
             case mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
-                self._estimator.take_vision((message.x, message.y, message.z), message.yaw, now)
+                self._estimator.receive_vision((message.x, message.y, message.z), message.yaw, now)
             case mavlink.MAVLINK_MSG_ID_ODOMETRY:
                 known = message.frame_id in self.copter.odometry_frames
                 if known and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
                     w, x, y, z = message.q
                     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-                    self._estimator.take_vision((message.x, message.y, message.z), yaw, now)
+                    self._estimator.receive_vision((message.x, message.y, message.z), yaw, now)
             case mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
-                self._estimator.take_origin(message)
+                self._estimator.receive_origin(message)
 
-    def _take_param(self, message: Message) -> None:
+    def _handle_parameter(self, message: Message) -> None:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
                 self._answer_param(message.param_id, message.param_index)
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
-                self._listed.extend(self.copter.params)
+                self._parameters_to_send.extend(self.copter.params)
             case mavlink.MAVLINK_MSG_ID_PARAM_SET:
                 if self.copter.params.change(message.param_id, message.param_value):
                     self._answer_param(message.param_id)
 
     def _answer_param(self, name: str, index: int = -1) -> None:
-        """An unknown parameter never answers."""
-        told = self.copter.params.told(name, index)
-        if told is not None:
-            self._send(told)
+        """Send a PARAM_VALUE. An unknown parameter is not answered, as on a real autopilot."""
+        value_message = self.copter.params.value_message(name, index)
+        if value_message is not None:
+            self._send(value_message)
 
     def _command(self, message: Message, now: float) -> int:
-        """A MAV_RESULT."""
+        """Execute a command and return its MAV_RESULT."""
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT:
             if message.command == mavlink.MAV_CMD_DO_REPOSITION:
                 return reposition(message, self.copter, self._frame, now)
@@ -208,7 +214,7 @@ class SimulatedAutopilot:
 
 
 def _version(text: str) -> str:
-    """What the setting `version` says. Raises BadScenario."""
+    """Return the setting `version` after a check. Raises BadScenario."""
     major, _, minor = text.removesuffix(DEVELOPMENT).partition(".")
     if not (major.isdecimal() and minor.isdecimal()):
         raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7 or 4.7-dev")
@@ -216,7 +222,7 @@ def _version(text: str) -> str:
 
 
 def _seconds(name: str, value: Any, most: float, words: str = "") -> float:
-    """What a setting says that takes seconds, 0 to `most`. Raises BadScenario."""
+    """Return a setting in seconds, 0 to `most`. Raises BadScenario."""
     try:
         seconds = float(value)
     except ValueError:

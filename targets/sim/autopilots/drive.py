@@ -1,8 +1,7 @@
-"""The simulated drive of a car: a VESC behind a serial line (or a rover: rover.py).
+"""Simulated drive of a car: a VESC behind a serial line. An ArduPilot rover is in rover.py.
 
-It talks the VESC protocol and drives a simulated body; its own numbers (gains) are those of the robot's settings, so
-that a wrong gain in the fleet file is no more noticed here than a right one: calibration is for the real car.
-"""
+It speaks the VESC protocol and drives a simulated body. Its gains are the robot's own settings, so a wrong gain in the
+fleet file is not noticed here. Only a calibration on the real car finds it."""
 
 from __future__ import annotations
 
@@ -13,30 +12,30 @@ from typing import Any
 from targets.car.base.settings import CarSettings, decode
 from targets.car.drive import vesc
 from targets.sim.base.bodies import Car, Device, DeviceContext
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
-TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
-SUPPLY, EMPTY = 11.1, 9.0  # volts, of a usual and of an empty battery
-CUT_OFF = 9.2  # volts below which the VESC gives up
+TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; a request for values is no command
+SUPPLY, EMPTY = 11.1, 9.0  # volts of a usual and of an empty battery
+CUT_OFF = 9.2  # volts below which the VESC cuts off the motor
 UNDER_VOLTAGE = 2  # mc_fault_code
 FIRMWARE = 6, 5
 
 
 class Controller:
-    """The VESC itself, without its cable: bytes in, bytes out, a body driven."""
+    """A VESC without its cable: reads and returns bytes, and drives a body."""
 
-    def __init__(self, body: Car, settings: CarSettings, upset: Upset | None = None) -> None:
+    def __init__(self, body: Car, settings: CarSettings, fault_state: FaultState | None = None) -> None:
         self._body = body
-        self._upset = upset or Upset()
+        self._fault_state = fault_state or FaultState()
         self._settings = settings
         self._decoder = vesc.Decoder()
-        self._speed: float | None = None  # None: it brakes
+        self._speed: float | None = None  # m/s; None: braking
         self._braking = settings.braking
         self._steering = 0.0
         self._commanded = -math.inf
 
     def step(self, received: bytes, now: float) -> bytes:
-        """Take what arrived, drive the body, and return the answers."""
+        """Handle the received bytes, drive the body, and return the answers."""
         answers = b""
         for message in self._decoder.feed(received):
             match message:
@@ -55,7 +54,7 @@ class Controller:
                 case vesc.AskVersion():
                     answers += vesc.encode(vesc.Version(*FIRMWARE))
                 case vesc.Values() | vesc.Version():
-                    pass  # an answer is no question
+                    pass  # an answer, not a request
         if now - self._commanded > TIMEOUT or self._empty:
             self._speed, self._braking = None, self._settings.braking
         self._body.drive(self._speed or 0.0, self._steering)
@@ -65,7 +64,7 @@ class Controller:
 
     @property
     def _volts(self) -> float:
-        return EMPTY + (SUPPLY - EMPTY) * self._upset.battery
+        return EMPTY + (SUPPLY - EMPTY) * self._fault_state.battery
 
     @property
     def _empty(self) -> bool:
@@ -77,18 +76,18 @@ class Controller:
 
 
 class SimulatedDrive:
-    """targets.sim.base.bodies.Device for a car: the serial line to a controller."""
+    """Device of a car: serial line to a simulated VESC."""
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
-        self._controller = Controller(body, settings, context.upset)
+        self._controller = Controller(body, settings, context.fault_state)
         self._unsent = b""
         self._terminal = context.wiring.terminal()
         self.overrides: Mapping[str, Any] = {"drive": f"vesc:{self._terminal.device}"}
 
     def step(self, now: float) -> None:
         self._unsent = self._unsent + self._controller.step(self._terminal.read(), now)
-        self._unsent = self._unsent[-4096:]  # an agent that does not read its answers does not fill our memory
+        self._unsent = self._unsent[-4096:]  # bound the memory if an agent never reads its answers
         if self._unsent:
             self._unsent = self._unsent[self._terminal.write(self._unsent) :]
 
@@ -97,9 +96,9 @@ class SimulatedDrive:
 
 
 def simulated(body: Car, context: DeviceContext) -> Device:
-    """What stands in for the drive that the robot's settings name: a VESC, or an ArduPilot rover."""
+    """Return the device for the drive that the robot's settings name: a VESC or an ArduPilot rover."""
     if str(context.settings.get("drive", "")).startswith("rover:"):
-        from targets.sim.autopilots.rover import SimulatedRover  # others do not pay for pymavlink
+        from targets.sim.autopilots.rover import SimulatedRover  # so that runs without a rover do not import pymavlink
 
         return SimulatedRover(body, context)
     return SimulatedDrive(body, context)

@@ -1,10 +1,9 @@
-"""The device of a quad whose autopilot is a real ArduPilot, run by the user: gives it the body as its vehicle.
+"""Device of a quad whose autopilot is a real ArduPilot that the user runs: simulates its vehicle.
 
-ArduPilot's own time is that of the states which it gets, so this is for real time only. ArduPilot adopts the rate at
-which states come (SIM_JSON.cpp), asks for 1 Hz more until it gets its SIM_RATE_HZ, and refuses to arm when its gyro is
-slower than 1.8 x SCHED_LOOP_RATE. So each step of the world gives it at least `LEAST_STATES` states, interpolated, and
-waits until it has answered the states of the step before.
-"""
+ArduPilot takes its time from the states that it receives, so this device works in real time only. ArduPilot adopts the
+rate at which states arrive (SIM_JSON.cpp), asks for 1 Hz more until it gets its SIM_RATE_HZ, and refuses to arm while
+its gyro is slower than 1.8 x SCHED_LOOP_RATE. So each step of the world sends at least `LEAST_STATES` interpolated
+states, after waiting until ArduPilot has answered the states of the previous step."""
 
 from __future__ import annotations
 
@@ -15,70 +14,74 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from targets.sim.autopilots import json_link
-from targets.sim.autopilots.json_link import Servos, Vehicle
+from targets.sim.autopilots.json_link import Servos, VehicleState
 from targets.sim.base.bodies import BodyState, DeviceContext
 from targets.sim.base.ports import Port
-from targets.sim.physics.world import GRAVITY, STEP, Motion
+from targets.sim.physics.world import GRAVITY, STEP, BodyMotion
 
 LOOPBACK = "127.0.0.1"
-MOST_AT_ONCE = 64  # frames that are read, or states that are sent, at once
-LEAST_STATES, MOST_STATES = 5, 16  # in one step of the world: rates of 1200 and 3840 a second
-PATIENCE = 0.1  # seconds, on the host's clock, that the world waits for a frame
-SILENT = 0.1  # seconds without a frame after which the state is told unasked: one of both was lost
-DEAD = 0.5  # seconds without a frame after which motors stop
+MOST_AT_ONCE = 64  # frames read, or states sent, in one go
+LEAST_STATES, MOST_STATES = 5, 16  # per step of the world: rates of 1200 and 3840 a second
+FRAME_TIMEOUT = 0.1  # seconds of the host's clock that the world waits for a frame
+RESEND_AFTER = 0.1  # seconds without a frame after which the state is sent again: a frame or a state was lost
+MOTORS_OFF_AFTER = 0.5  # seconds without a frame after which the motors stop
 FULL, EMPTY = 12.6, 10.5  # volts, three cells
-CURRENT = 30.0  # amperes of all motors at full thrust
-# Motors of ArduCopter's quad X by their outputs: front right, rear left, front left, rear right; as the body has them.
+CURRENT = 30.0  # amperes of all motors together at full thrust
+# ArduCopter's quad X numbers its motors front right, rear left, front left, rear right. The body has another order.
 BODY_ORDER = (2, 1, 3, 0)  # front left, rear left, rear right, front right
 LOW, HIGH = 1000, 2000  # microseconds
 EXPO = 0.65  # the thrust curve that ArduPilot assumes by default: MOT_THST_EXPO
 
 
-class Body(Protocol):
-    """What this needs of a quadrotor."""
+class QuadrotorBody(Protocol):
+    """Methods of a quadrotor body that this device uses."""
 
     def state(self) -> BodyState: ...
 
-    def motion(self) -> Motion: ...
+    def motion(self) -> BodyMotion: ...
 
     def motors(self, on: bool) -> None: ...
 
     def thrusts(self, shares: tuple[float, float, float, float]) -> None: ...
 
 
-class Link(Port, Protocol):
-    """A Port that can be waited for."""
+class WaitablePort(Port, Protocol):
+    """Port that can wait for a datagram."""
 
     def wait(self, seconds: float) -> bool:
-        """Return as soon as there is something to receive, after so many seconds at most; whether there is."""
+        """Wait at most `seconds` for a datagram. Return whether one has arrived."""
         ...
 
 
 class ExternalAutopilot:
-    """targets.sim.base.bodies.Device. Its agent talks to the autopilot itself, as its settings say. `resets` counts how
-    often it started anew, `lost` and `dropped` frames that never came or were none.
+    """Device that connects a real ArduPilot to its simulated body.
 
-    Of what is not as it should be: a frame of another magic or length is dropped; one with the count of the last is
-    answered with the present state, and nothing else comes of it, for ArduPilot repeats itself when it got no answer; a
-    count that is lower than the last tells that it has started anew: motors stop, and its time begins again."""
+    The agent talks to the autopilot directly, as its settings say. `resets` counts restarts of the autopilot, `lost`
+    frames that never arrived, `dropped` datagrams that are no frames (wrong magic or length).
 
-    def __init__(self, body: Body, context: DeviceContext, instance: int, link: Link | None = None) -> None:
-        """`instance` is ArduPilot's (-I). Raises OSError when its port is taken."""
-        self._body, self._upset = body, context.upset
+    A frame with the same count as the last one is a repetition: ArduPilot repeats a frame that got no answer. It is
+    answered with the present state and has no other effect. A count lower than the last one means that the autopilot
+    has restarted: the motors stop, and its time begins again."""
+
+    def __init__(
+        self, body: QuadrotorBody, context: DeviceContext, instance: int, link: WaitablePort | None = None
+    ) -> None:
+        """`instance` is ArduPilot's option -I. Raises OSError if its port is in use."""
+        self._body, self._fault_state = body, context.fault_state
         self._link = link or Socket(json_link.PORT + json_link.PORT_STEP * instance)
         self.overrides: Mapping[str, Any] = {}
         self._last: Servos | None = None
-        self._heard = self._told = self._began = -math.inf
-        self._ahead = 0  # states that it has not yet answered
-        self._answers = False  # it answered when it was last waited for
-        self._before: Vehicle | None = None  # what it was told last
+        self._frame_at = self._sent_at = self._began = -math.inf
+        self._unanswered = 0  # states that the autopilot has not yet answered
+        self._is_answering = False  # whether it answered in time when the world last waited for it
+        self._last_sent: VehicleState | None = None  # the last state sent
         self._velocity = body.motion().velocity
-        self._thrust = 0.0  # of all motors, a share
+        self._thrust = 0.0  # share of the full thrust of all motors
         self.resets = self.lost = self.dropped = 0
 
     def step(self, now: float) -> None:
         """See Device."""
-        asked = self._answered(now)
+        asked = self._await_answers(now)
         if self._last is None:
             return
         motion = self._body.motion()
@@ -86,52 +89,55 @@ class ExternalAutopilot:
             motion, self._body.state().position, self._velocity, GRAVITY, STEP, now - self._began
         )
         self._velocity = motion.velocity
-        if now - self._heard > DEAD:
+        if now - self._frame_at > MOTORS_OFF_AFTER:
             self._body.motors(False)
-        if now - max(self._heard, self._told) > SILENT or asked == "again":
-            self._ahead = 0
-            self._tell([present], now)
+        if now - max(self._frame_at, self._sent_at) > RESEND_AFTER or asked == "again":
+            self._unanswered = 0
+            self._send([present], now)
         elif asked:
-            self._tell(self._states(self._last.rate, present), now)
+            self._send(self._states(self._last.rate, present), now)
 
-    def _answered(self, now: float) -> str:
-        """As `_receive`, once it has answered all that it was told. A process that does not answer within `PATIENCE`
-        is not waited for again until it does."""
+    def _await_answers(self, now: float) -> str:
+        """Wait until the autopilot has answered all states sent. Return as `_receive` does.
+
+        A process that does not answer within `FRAME_TIMEOUT` is not waited for again until it answers."""
         found = self._receive(now)
-        while self._ahead and self._answers:
-            self._answers = self._link.wait(PATIENCE)
-            if self._answers:
+        while self._unanswered and self._is_answering:
+            self._is_answering = self._link.wait(FRAME_TIMEOUT)
+            if self._is_answering:
                 found = self._receive(now) or found
             else:
-                self._ahead = 0
+                self._unanswered = 0
         return found
 
-    def _states(self, wanted: int, present: Vehicle) -> list[Vehicle]:
-        """The present state, and those between the last one that it was told and this. `wanted` (Hz) is 1 more than it
-        got, or what it got: rounded up, the rate rises until that is enough."""
-        if self._before is None:
+    def _states(self, wanted: int, present: VehicleState) -> list[VehicleState]:
+        """Return the present state, after interpolated states that follow the last one sent.
+
+        `wanted` (Hz) is the rate that ArduPilot asks for: 1 more than it gets, or the rate that it gets. Rounded up, so
+        the rate rises until it suffices."""
+        if self._last_sent is None:
             return [present]
         in_step = max(LEAST_STATES, min(MOST_STATES, math.ceil(wanted * STEP)))
-        steps = max(1, round((present.time - self._before.time) / STEP))
+        steps = max(1, round((present.time - self._last_sent.time) / STEP))
         count = min(MOST_AT_ONCE, in_step * steps)
-        return [*(json_link.between(self._before, present, k / count) for k in range(1, count)), present]
+        return [*(json_link.interpolate(self._last_sent, present, k / count) for k in range(1, count)), present]
 
-    def _tell(self, states: list[Vehicle], now: float) -> None:
-        volts = EMPTY + (FULL - EMPTY) * self._upset.battery
+    def _send(self, states: list[VehicleState], now: float) -> None:
+        volts = EMPTY + (FULL - EMPTY) * self._fault_state.battery
         for state in states:
             self._link.send(json_link.line(state, volts, CURRENT * self._thrust))
-        self._ahead += len(states)
-        self._before, self._told = states[-1], now
+        self._unanswered += len(states)
+        self._last_sent, self._sent_at = states[-1], now
 
     def _receive(self, now: float) -> str:
-        """Take what has come: "new" when there are new outputs, "again" when one was repeated and none was new."""
+        """Read all frames. Return "new" for new outputs, "again" for repeated frames only, "" for none."""
         found = ""
         for datagram in self._link.receive():
             frame = json_link.servos(datagram)
             if frame is None:
                 self.dropped += 1
                 continue
-            self._heard, self._answers = now, True
+            self._frame_at, self._is_answering = now, True
             if self._last is not None and frame.count == self._last.count:
                 found = found or "again"
                 continue
@@ -140,16 +146,16 @@ class ExternalAutopilot:
             else:
                 passed = frame.count - self._last.count
                 self.lost += passed - 1
-                self._ahead = max(0, self._ahead - passed)
+                self._unanswered = max(0, self._unanswered - passed)
             self._last, found = frame, "new"
         if found == "new" and self._last is not None:
             self._command(self._last)
         return found
 
     def _start(self, now: float) -> None:
-        """It starts, for the first time or anew."""
+        """Begin again: the autopilot has started or restarted."""
         self.resets += self._last is not None
-        self._began, self._ahead, self._before = now, 0, None
+        self._began, self._unanswered, self._last_sent = now, 0, None
         self._velocity = self._body.motion().velocity
         self._body.motors(False)
 
@@ -165,13 +171,13 @@ class ExternalAutopilot:
 
 
 def _thrust(pwm: int) -> float:
-    """The share of a motor's most thrust."""
+    """Return a motor's thrust as a share of its full thrust."""
     command = min(1.0, max(0.0, (pwm - LOW) / (HIGH - LOW)))
     return (1 - EXPO) * command + EXPO * command * command
 
 
 class Socket:
-    """A Port at which the autopilot finds us, and that answers wherever its last frame came from."""
+    """Port that the autopilot sends to; answers go to the sender of its last frame."""
 
     def __init__(self, number: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -189,7 +195,7 @@ class Socket:
         while len(found) < MOST_AT_ONCE:
             try:
                 datagram, self._peer = self._socket.recvfrom(2048)
-            except ConnectionRefusedError:  # word that the autopilot is gone
+            except ConnectionRefusedError:  # the operating system reports that the autopilot is gone
                 continue
             except OSError:
                 break
@@ -197,7 +203,7 @@ class Socket:
         return found
 
     def wait(self, seconds: float) -> bool:
-        """See Link."""
+        """See WaitablePort."""
         return bool(select.select([self._socket], [], [], seconds)[0])
 
     def send(self, data: bytes) -> None:
@@ -206,7 +212,7 @@ class Socket:
             try:
                 self._socket.sendto(data, self._peer)
             except OSError:
-                return  # lost: it asks again
+                return  # lost; the autopilot will ask again
 
     def close(self) -> None:
         """See Port."""

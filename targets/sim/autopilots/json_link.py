@@ -1,9 +1,8 @@
-"""What passes between an ArduPilot in its SITL build and a simulation of its vehicle: ArduPilot's JSON interface.
+"""ArduPilot's JSON interface between its SITL build and a simulation of the vehicle.
 
-As libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp of ArduPilot have it: servo outputs come as binary frames,
-the vehicle's state goes back as a line of JSON between two line ends. Frames here: world is north, east, down about the
-fleet's origin; body is forward, right, down.
-"""
+Sources: libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp of ArduPilot. Servo outputs arrive as binary frames.
+The vehicle's state is sent back as one line of JSON between two line ends. Frames here: world is NED about the fleet's
+origin; body is FRD (forward, right, down)."""
 
 from __future__ import annotations
 
@@ -13,9 +12,9 @@ import struct
 from dataclasses import dataclass
 
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.world import Motion
+from targets.sim.physics.world import BodyMotion
 
-PORT, PORT_STEP = 9002, 10  # of the first instance, and from one to the next
+PORT, PORT_STEP = 9002, 10  # of the first instance, and the distance from one instance to the next
 MAGIC_16, MAGIC_32 = 18458, 29569
 _HEAD = struct.Struct("<HHI")
 _CHANNELS = {MAGIC_16: struct.Struct("<HHI16H"), MAGIC_32: struct.Struct("<HHI32H")}
@@ -25,8 +24,10 @@ Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 @dataclass(frozen=True, slots=True)
 class Servos:
-    """One frame of outputs. `rate` is how many states a second the autopilot wants; `count` goes up with each state
-    that it received, and starts anew with the autopilot; `pwm` in microseconds, 16 or 32 channels."""
+    """One frame of servo outputs.
+
+    `rate`: states a second that the autopilot wants. `count`: goes up with each state that the autopilot received, and
+    restarts with the autopilot. `pwm`: microseconds, 16 or 32 channels."""
 
     rate: int
     count: int
@@ -34,9 +35,11 @@ class Servos:
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
-    """The truth, at `time` (s): gyro (rad/s) and specific force (m/s^2) in the body's frame; position (m), velocity
-    (m/s) and attitude in the world's."""
+class VehicleState:
+    """True state of a vehicle at `time` (s).
+
+    Angular rate `gyro` (rad/s) and specific force `force` (m/s^2) are in the body frame; position (m), velocity (m/s)
+    and attitude in the world frame."""
 
     time: float
     gyro: Vector
@@ -47,7 +50,7 @@ class Vehicle:
 
 
 def servos(datagram: bytes) -> Servos | None:
-    """None for what is no such frame: another magic, or another length than it stands for."""
+    """Decode a frame. Return None for an unknown magic or a length that does not fit the magic."""
     if len(datagram) < _HEAD.size:
         return None
     form = _CHANNELS.get(_HEAD.unpack_from(datagram)[0])
@@ -57,10 +60,12 @@ def servos(datagram: bytes) -> Servos | None:
     return Servos(rate, count, tuple(pwm))
 
 
-def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
-    """The state as the autopilot reads it. Angles go along with the quaternion, which older versions do not know."""
-    told = {
-        "timestamp": round(vehicle.time, 12),  # of whose differences it makes a rate, in single precision
+def line(vehicle: VehicleState, volts: float, amperes: float) -> bytes:
+    """Encode a state as a line of JSON.
+
+    It has angles besides the quaternion: older versions read only angles."""
+    fields = {
+        "timestamp": round(vehicle.time, 12),  # ArduPilot computes a rate from differences, in single precision
         "imu": {"gyro": _rounded(vehicle.gyro), "accel_body": _rounded(vehicle.force)},
         "position": _rounded(vehicle.position),
         "attitude": _rounded(angles(vehicle.attitude)),
@@ -68,47 +73,51 @@ def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
         "velocity": _rounded(vehicle.velocity),
         "battery": {"voltage": round(volts, 3), "current": round(amperes, 3)},
     }
-    return b"\n" + json.dumps(told, separators=(",", ":")).encode("ascii") + b"\n"
+    return b"\n" + json.dumps(fields, separators=(",", ":")).encode("ascii") + b"\n"
 
 
 def _rounded(values: tuple[float, ...]) -> list[float]:
     return [round(v, 7) + 0.0 for v in values]  # + 0.0: no -0.0
 
 
-def vehicle(motion: Motion, reference: Vector, before: Vector, gravity: float, step: float, time: float) -> Vehicle:
-    """From a body's motion in ENU; `reference` is its reference point, `before` its velocity `step` seconds ago: what
-    gravity does not account for is the specific force."""
+def vehicle(
+    motion: BodyMotion, reference: Vector, before: Vector, gravity: float, step: float, time: float
+) -> VehicleState:
+    """Convert a body's motion from ENU.
+
+    `reference` is the body's reference point, `before` its velocity `step` seconds ago. The specific force is the
+    measured acceleration less gravity."""
     x, y, z, w = motion.orientation
-    attitude = _turned((w, x, y, z))
+    attitude = _to_ned((w, x, y, z))
     east, north, up = motion.velocity
     pulled = [(now - then) / step for now, then in zip(motion.velocity, before, strict=True)]
-    force = into((pulled[1], pulled[0], -(pulled[2] + gravity)), attitude)
-    gyro = into((motion.spin[1], motion.spin[0], -motion.spin[2]), attitude)
+    force = to_body_frame((pulled[1], pulled[0], -(pulled[2] + gravity)), attitude)
+    gyro = to_body_frame((motion.spin[1], motion.spin[0], -motion.spin[2]), attitude)
     position = (reference[1], reference[0], -reference[2])
-    return Vehicle(time, gyro, force, position, (north, east, -up), attitude)
+    return VehicleState(time, gyro, force, position, (north, east, -up), attitude)
 
 
-def between(a: Vehicle, b: Vehicle, share: float) -> Vehicle:
-    """A share of the way from one state to the next; the force is the one that leads there."""
+def interpolate(a: VehicleState, b: VehicleState, share: float) -> VehicleState:
+    """Interpolate between two states. The specific force is that of `b`: it is the one that leads there."""
     attitude = _mixed(a.attitude, b.attitude, share)
     size = math.sqrt(sum(v * v for v in attitude))
     w, x, y, z = (v / size for v in attitude)
-    return Vehicle(
+    return VehicleState(
         a.time + share * (b.time - a.time), _blend(a.gyro, b.gyro, share), b.force,
         _blend(a.position, b.position, share), _blend(a.velocity, b.velocity, share), (w, x, y, z),
     )  # fmt: skip
 
 
 def angles(q: Quaternion) -> Vector:
-    """Roll, pitch and yaw (rad) of an attitude."""
+    """Return roll, pitch and yaw (rad) of an attitude."""
     w, x, y, z = q
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def into(v: Vector, q: Quaternion) -> Vector:
-    """A vector of the world in the body's frame."""
+def to_body_frame(v: Vector, q: Quaternion) -> Vector:
+    """Rotate a vector from the world frame into the body frame."""
     w, x, y, z = q
     tx, ty, tz = 2 * (v[1] * z - v[2] * y), 2 * (v[2] * x - v[0] * z), 2 * (v[0] * y - v[1] * x)
     return (
@@ -118,9 +127,10 @@ def into(v: Vector, q: Quaternion) -> Vector:
     )
 
 
-def _turned(q: Quaternion) -> Quaternion:
-    """An attitude of a body (forward, left, up) in ENU, as one of the body (forward, right, down) in NED: half a turn
-    about the line between north and east before, and one about the body's own axis after."""
+def _to_ned(q: Quaternion) -> Quaternion:
+    """Convert an attitude from FLU in ENU to FRD in NED.
+
+    Half a turn about the line between north and east first, then half a turn about the body's own forward axis."""
     w, x, y, z = _product(_product((0.0, _HALF, _HALF, 0.0), q), (0.0, 1.0, 0.0, 0.0))
     return (w, x, y, z) if w >= 0 else (-w, -x, -y, -z)
 

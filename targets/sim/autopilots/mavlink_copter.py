@@ -1,10 +1,13 @@
-"""What state a simulated copter is in: its mode, arming, landed or not, and the failsafes that change it.
+"""State machine of a simulated ArduPilot copter: flight mode, arming, landed state, failsafes.
 
-Behaves as was observed on ArduPilot 4.7: a mode set in the first second after boot is acknowledged and lost; arming is
-refused in words; it disarms 10 s after an arming that no take-off followed; GUIDED leaves the ground by NAV_TAKEOFF
-only, some seconds later, for its motors spin up first; it lands 5 s after the last heartbeat of its ground station,
-and when it has lost its position: a failsafe's LAND hovers for 4 s before it descends.
-"""
+Behaves as observed on ArduPilot 4.7:
+
+- A mode set in the first second after boot is acknowledged and lost.
+- A refused arming is explained in a STATUSTEXT.
+- It disarms 10 s after an arming that no take-off followed.
+- GUIDED leaves the ground by NAV_TAKEOFF only, some seconds later, for the motors spin up first.
+- It lands 5 s after the last heartbeat of its ground station, and when it has lost its position. A failsafe's LAND
+hovers for 4 s before it descends."""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.sim.autopilots.mavlink_estimate import Estimator
-from targets.sim.autopilots.mavlink_guided import Aim, Guidance, Vector
-from targets.sim.autopilots.mavlink_params import Parameters
+from targets.sim.autopilots.mavlink_estimate import SimulatedEstimator
+from targets.sim.autopilots.mavlink_guided import Guidance, GuidanceMode, Vector
+from targets.sim.autopilots.mavlink_params import SimulatedParameters
 
 STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE = 0, 2, 4, 5, 9, 16, 17
 MODES = (STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE)
@@ -23,60 +26,63 @@ ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
 DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
-MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
+MODE_LOST = 1.0  # seconds after boot in which a new mode is acknowledged and forgotten
 FAILSAFE_PAUSE = 4.0  # seconds for which a failsafe's LAND hovers first (LAND_WITH_DELAY_MS)
-# Seconds from the take-off command until it leaves the ground, as observed: what is left of ARMING_DELAY (2 s), the
-# motors' spin-up (MOT_SPOOL_TIME) and the ramp of the thrust (TKOFF_SLEW_TIME).
+# Seconds from the take-off command to leaving the ground, as observed: the rest of ARMING_DELAY (2 s), the motors'
+# spin-up (MOT_SPOOL_TIME) and the ramp of the thrust (TKOFF_SLEW_TIME).
 SPOOL_UP = 3.3
-LIFTS = 0.3  # of these, the last ones, in which it begins to rise
-IGNORE_PILOT_YAW = 4  # of GUID_OPTIONS
+RISE_TIME = 0.3  # seconds at the end of SPOOL_UP in which the copter begins to rise
+IGNORE_PILOT_YAW = 4  # bit of GUID_OPTIONS
 SPINNING_RELEASE = (4, 7)
-COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
+COMPLAINT_INTERVAL = 30.0  # seconds between two reports of failing pre-arm checks
 WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
 
 class Copter:
-    """Modes and arming. `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
+    """Flight mode and arming of a copter.
+
+    `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    refusal = "PreArm"  # how the words begin in which it tells what hinders arming
-    fragile = True  # a position that is not finite aborts it
+    refusal = "PreArm"  # first word of a STATUSTEXT that says why arming is refused
+    fragile = True  # a setpoint that is not finite aborts the autopilot's process
     resets_datum = True  # the EKF resets its height datum after an origin from outside
-    odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
+    odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # frames in which an ODOMETRY message is accepted
 
-    def __init__(self, boot: float, params: Parameters, spool_up: float = SPOOL_UP) -> None:
+    def __init__(self, boot: float, params: SimulatedParameters, spool_up: float = SPOOL_UP) -> None:
         self._boot, self._spool_up = boot, spool_up
         self.params = params
         self.guidance = Guidance()
-        self.estimator: Estimator  # which tells us what it has to say
+        self.estimator: SimulatedEstimator  # assigned by the autopilot device
         self.said: list[tuple[int, str]] = []
         self.mode = STABILIZE
         self.armed = False
         self.landed = True
         self.home: Vector | None = None
-        self.failing_check = ""  # what a pre-arm check complains about, when one does
-        self.ground_station: float | None = None  # when its last heartbeat came
+        self.failing_check = ""  # complaint of a failing pre-arm check that a test has set; "" for none
+        self.ground_station: float | None = None  # time of its last heartbeat
         self.volts = math.inf  # of the battery
-        self._charged = -math.inf  # when these were last enough
+        self._charged_at = -math.inf  # time when the voltage was last high enough
         self._armed_at = 0.0
-        self._rise: tuple[float, float] | None = None  # when a take-off begins that was commanded, and to what height
+        self._rise: tuple[float, float] | None = None  # start time and target height of a commanded take-off
         self._still: float | None = None
         self._complained: float | None = None
 
     @property
     def position(self) -> Vector:
-        """Where it believes to be."""
+        """Estimated position."""
         return self.estimator.estimate.position
 
     @property
     def following(self) -> bool:
-        """Whether setpoints are obeyed: in GUIDED, and off the ground; else they are dropped in silence."""
+        """True if setpoints are obeyed: in GUIDED and off the ground. Otherwise they are dropped silently."""
         return self.mode == GUIDED and self.armed and not self.landed
 
     @property
     def spins(self) -> bool:
-        """Whether GUIDED takes the missing receiver's yaw stick for one that is pushed to its end, as development
-        builds of 4.7.0 did where FS_THR_ENABLE is 0 (github.com/ArduPilot/ardupilot/issues/31353)."""
+        """True if GUIDED takes the missing receiver's yaw stick for one that is pushed to its end.
+
+        Development builds of 4.7.0 did so with FS_THR_ENABLE = 0 (github.com/ArduPilot/ardupilot/issues/31353)."""
         params = self.params
         return (
             self.mode == GUIDED
@@ -88,7 +94,7 @@ class Copter:
 
     @property
     def shows_target(self) -> bool:
-        """Whether it says what setpoint it has."""
+        """True if the copter reports its present setpoint."""
         return self.mode == GUIDED
 
     @property
@@ -97,26 +103,26 @@ class Copter:
 
     @property
     def waits_for_pilot(self) -> bool:
-        """Whether it stays armed after a landing."""
+        """True if the copter stays armed after a landing."""
         return bool(self.params.of("LAND_REPOSITION"))
 
     def heard_heartbeat(self, system: int, now: float) -> None:
-        """Only its ground station's count."""
+        """Record a heartbeat. Only those of the copter's own ground station count."""
         if system == self.params.of("MAV_GCS_SYSID"):
             self.ground_station = now
 
     def heard_setpoint(self, now: float) -> None:
-        """A setpoint came, whatever becomes of it. ArduPilot does not count them."""
+        """Record that a setpoint arrived, valid or not. ArduPilot ignores this."""
 
     def refuse_setpoint(self, now: float) -> None:
-        """One that makes no sense came: stop."""
+        """Stop: an invalid setpoint arrived."""
         self.guidance.stop(now, self.position)
 
     def booted(self, now: float) -> bool:
         return self.estimator.started is not None and now - self.estimator.started >= self._boot + MODE_LOST
 
     def heartbeat(self) -> tuple[int, int]:
-        """Base and custom mode."""
+        """Return the base mode and the custom mode of HEARTBEAT."""
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         if self.mode == GUIDED:
             flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
@@ -125,7 +131,9 @@ class Copter:
         return flags, self.mode
 
     def command(self, message: Any, now: float) -> int | None:
-        """DO_SET_MODE, arming and take-off, as a MAV_RESULT; None for any other command."""
+        """Execute DO_SET_MODE, arming, take-off and the like.
+
+        Return a MAV_RESULT, or None for any other command."""
         p1, p2, p7 = message.param1, message.param2, message.param7
         if not all(map(math.isfinite, (p1, p2, p7))):
             return DENIED
@@ -147,7 +155,9 @@ class Copter:
         return None
 
     def _change_speed(self, kind: int, speed: float) -> int:
-        """DO_CHANGE_SPEED: airspeed, ground speed, climb or descent, until the aim is another. A MAV_RESULT."""
+        """Execute DO_CHANGE_SPEED: airspeed, ground speed, climb or descent, until the submode changes.
+
+        Return a MAV_RESULT."""
         if not 0.1 <= speed <= 20:
             return DENIED
         match kind:
@@ -162,7 +172,7 @@ class Copter:
         return ACCEPTED
 
     def set_mode(self, mode: int, now: float) -> int:
-        """A MAV_RESULT."""
+        """Change the flight mode on request. Return a MAV_RESULT."""
         if mode not in MODES:
             return DENIED
         if mode == GUIDED and not self.estimator.ready:
@@ -173,7 +183,9 @@ class Copter:
         return ACCEPTED
 
     def enter(self, mode: int, now: float, pause: float = 0.0) -> None:
-        """Change the mode, without asking: as a remote control or a failsafe does. LAND descends after a pause (s)."""
+        """Change the flight mode without a check, as a remote control or a failsafe does.
+
+        LAND descends after `pause` (s)."""
         if mode == self.mode:
             return
         self.mode = mode
@@ -183,12 +195,12 @@ class Copter:
             case _ if mode == LAND:
                 self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
             case _ if mode == STABILIZE:
-                self.guidance.go(Aim.FALL, now, (x, y, z))
+                self.guidance.go(GuidanceMode.FALL, now, (x, y, z))
             case _:
                 self.guidance.stop(now, (x, y, z))
 
     def fault(self, now: float) -> str:
-        """What hinders arming; "" when nothing does."""
+        """Return why arming is refused; "" if it is not."""
         if self.failing_check:
             return self.failing_check
         if self.params.of("FS_THR_ENABLE"):
@@ -196,7 +208,7 @@ class Copter:
         return self.estimator.fault(now)
 
     def arm(self, now: float) -> int:
-        """A MAV_RESULT."""
+        """Arm the motors. Return a MAV_RESULT."""
         if self.armed:
             return ACCEPTED
         fault = self.fault(now)
@@ -219,7 +231,7 @@ class Copter:
         return ACCEPTED
 
     def run_checks(self, now: float) -> int:
-        """Say what hinders arming, without arming. A MAV_RESULT."""
+        """Report what prevents arming, without arming. Return a MAV_RESULT."""
         if self.armed:
             return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
         fault = self.fault(now)
@@ -228,7 +240,7 @@ class Copter:
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
-        """A MAV_RESULT; in flight only by force."""
+        """Disarm the motors; in flight only by force. Return a MAV_RESULT."""
         if not self.landed and not force:
             return FAILED
         if self.armed:
@@ -237,35 +249,35 @@ class Copter:
         return ACCEPTED
 
     def take_off(self, above_home: float, now: float) -> int:
-        """A MAV_RESULT."""
+        """Begin a take-off to a height above home (m). Return a MAV_RESULT."""
         if self.mode != GUIDED or not self.armed or not self.landed or self.home is None:
             return FAILED
         height = self.home[2] + above_home
         if not height > self.position[2]:
             return FAILED
-        begins = now + max(0.0, self._spool_up - LIFTS) if self._rise is None else self._rise[0]
+        begins = now + max(0.0, self._spool_up - RISE_TIME) if self._rise is None else self._rise[0]
         self._rise = begins, height
         return ACCEPTED
 
     def _lift_off(self, now: float) -> None:
-        """Rise, when the motors have spun up for it."""
+        """Rise once the motors have spun up."""
         if self._rise is not None and now >= self._rise[0]:
             x, y, _ = self.position
             self.landed = False
-            self.guidance.go(Aim.TAKEOFF, now, (x, y, self._rise[1]))
+            self.guidance.go(GuidanceMode.TAKEOFF, now, (x, y, self._rise[1]))
             self._rise = None
 
     def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
-        """DO_REPOSITION. A MAV_RESULT."""
+        """Execute DO_REPOSITION. Return a MAV_RESULT."""
         if self.mode != GUIDED and not (changes_mode and self.set_mode(GUIDED, now) == ACCEPTED):
             return DENIED
         if not self.following:
             return FAILED
-        self.guidance.go(Aim.POSITION, now, place)
+        self.guidance.go(GuidanceMode.POSITION, now, place)
         return ACCEPTED
 
     def watch(self, now: float) -> None:
-        """What happens by itself: complaints, auto-disarm, touch-down, failsafes."""
+        """Do what happens without a command: complaints, auto-disarm, touch-down, failsafes."""
         if not self.armed:
             self._complain(now)
         elif self._rise is not None:
@@ -285,17 +297,17 @@ class Copter:
     def _complain(self, now: float) -> None:
         if not self.booted(now):
             return
-        if self._complained is None or now - self._complained >= COMPLAINS:
+        if self._complained is None or now - self._complained >= COMPLAINT_INTERVAL:
             self._complained = now
             fault = self.fault(now)
             if fault:
                 self.say(CRITICAL, f"{self.refusal}: {fault}")
 
     def _exhausted(self, now: float) -> bool:
-        """Whether the battery has been critical for so long that something is to be done about it."""
+        """Return whether the battery has been critical for long enough to trigger its failsafe."""
         if self.volts >= self.params.of("BATT_CRT_VOLT"):
-            self._charged = now
-        return now - self._charged > self.params.of("BATT_LOW_TIMER") and bool(self.params.of("BATT_FS_CRT_ACT"))
+            self._charged_at = now
+        return now - self._charged_at > self.params.of("BATT_LOW_TIMER") and bool(self.params.of("BATT_FS_CRT_ACT"))
 
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station
@@ -318,7 +330,7 @@ class Copter:
         self._still = now if self._still is None else self._still
         if now - self._still > 1.0:
             self.landed = True
-            if not self.waits_for_pilot:  # who is not there
+            if not self.waits_for_pilot:  # there is no pilot to disarm
                 self.disarm(force=False)
 
     def say(self, severity: int, text: str) -> None:

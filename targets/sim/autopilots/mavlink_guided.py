@@ -1,9 +1,8 @@
-"""How a simulated autopilot flies: what it was told to do, for how long that holds, and the path that comes of it.
+"""Guidance of a simulated autopilot: setpoints, their timeout, path shaping and position control.
 
 As ArduCopter/mode_guided.cpp of Copter 4.7: each kind of setpoint is a submode of its own, and a change of submode
-starts the position controller anew from where the vehicle is, with the default speed. In local ENU about the fleet's
-origin, metres and seconds; the speeds are ArduPilot's defaults (WP_SPD_UP, WP_SPD_DN, LAND_SPEED, LAND_ALT_LOW).
-"""
+restarts the position controller at the vehicle's state, with the default speed. Local ENU about the fleet's origin, in
+metres and seconds. The speeds are ArduPilot's defaults (WP_SPD_UP, WP_SPD_DN, LAND_SPEED, LAND_ALT_LOW)."""
 
 from __future__ import annotations
 
@@ -13,28 +12,30 @@ import math
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-# How ArduPilot turns a target that jumps into a path that a vehicle can fly: within an acceleration and a jerk.
+# Path shaping: ArduPilot turns a target that jumps into a path with limited acceleration and jerk.
 #
 # The formulas are those of Copter 4.2 to 4.7, libraries/AP_Math/control.cpp (sqrt_controller, shape_vel_accel,
 # shape_pos_vel_accel; L. Hall, 2020). One form serves both axes: a horizontal vector is a complex number, east + i
 # north, a height is a float. Metres and seconds.
 #
-# This is where a real vehicle's lag comes from. Behind a position that moves at v the path stays 2 v acceleration /
-# jerk, 1 s for the default 2.5 m/s^2 and 5 m/s^3; with a velocity to go with it, the error e obeys e'' + 2 e' + 2 e =
-# the target's acceleration.
+# The lag of a real vehicle comes from here. Behind a position that moves at v the path stays 2 v acceleration / jerk, 1
+# s for the default 2.5 m/s^2 and 5 m/s^3. With a velocity to go with it, the error e obeys e'' + 2 e' + 2 e = the
+# target's acceleration.
 
 Number = TypeVar("Number", float, complex)
 
 
 def limited(value: Number, most: float) -> Number:
-    """The value, shortened to a length of `most`."""
+    """Shorten a value to a length of at most `most`."""
     length = abs(value)
     return value if length <= most else value * (most / length)
 
 
 def approach(error: Number, gain: float, limit: float, dt: float) -> Number:
-    """The rate that closes an error: proportional when near; when far, such that a deceleration of `limit` ends it.
-    Never more than the error in one step (sqrt_controller)."""
+    """Return the rate that closes an error (sqrt_controller).
+
+    Proportional when near; when far, such that a deceleration of `limit` ends it. Never more than the error in one
+    step."""
     far = abs(error)
     if far <= 0.0:
         return error
@@ -44,14 +45,14 @@ def approach(error: Number, gain: float, limit: float, dt: float) -> Number:
 
 
 def reach(speed: float, gain: float, limit: float) -> float:
-    """The error for which `approach` asks for this speed (inv_sqrt_controller)."""
+    """Return the error for which `approach` returns this speed (inv_sqrt_controller)."""
     knee = limit / gain
     return speed / gain if speed <= knee else knee / gain / 2 + speed**2 / (2 * limit)
 
 
 @dataclass(slots=True)
 class Path(Generic[Number]):
-    """Where the vehicle is wanted now: a point that moves within `acceleration_limit` (m/s^2) and `jerk` (m/s^3)."""
+    """Shaped target point that moves within `acceleration_limit` (m/s^2) and `jerk` (m/s^3)."""
 
     position: Number
     velocity: Number
@@ -60,16 +61,16 @@ class Path(Generic[Number]):
     jerk: float
 
     def begin(self, position: Number, velocity: Number, acceleration: Number) -> None:
-        """Jump to a state."""
+        """Set position, velocity and acceleration."""
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
 
     def advance(self, dt: float) -> None:
-        """Move on."""
+        """Extrapolate by `dt` seconds."""
         self.position += self.velocity * dt + self.acceleration * (0.5 * dt * dt)
         self.velocity += self.acceleration * dt
 
     def seek(self, position: Number, velocity: Number, acceleration: Number, speed: float, dt: float) -> None:
-        """Accelerate towards a position that moves with a velocity and an acceleration, at most `speed` faster."""
+        """Accelerate towards a position that moves with velocity and acceleration, at most `speed` faster."""
         gain = 0.5 * self.jerk / self.acceleration_limit
         closing = limited(approach(position - self.position, gain, 0.5 * self.acceleration_limit, dt), speed)
         self.match(closing + velocity, acceleration, dt)
@@ -81,11 +82,11 @@ class Path(Generic[Number]):
         self.acceleration += limited(wanted + acceleration - self.acceleration, self.jerk * dt)
 
 
-# Keeps a vehicle on its path: ArduPilot's position P and velocity PID, which ask for an acceleration.
+# Position control: ArduPilot's position P and velocity PID, whose output is an acceleration.
 #
-# The structure and the gains are the defaults of Copter 4.7, libraries/AC_AttitudeControl/AC_PosControl.cpp
-# (PSC_NE_POS_P, PSC_NE_VEL_*, PSC_D_POS_P, PSC_D_VEL_P, PSC_JERK_*) and AC_WPNav.cpp (WP_ACC, WP_ACC_Z). What follows
-# them in the real one, leaning and thrust, is the body's: it takes a tenth of a second. Vectors as in mavlink_shaping.
+# Structure and gains are the defaults of Copter 4.7, libraries/AC_AttitudeControl/AC_PosControl.cpp (PSC_NE_POS_P,
+# PSC_NE_VEL_*, PSC_D_POS_P, PSC_D_VEL_P, PSC_JERK_*) and AC_WPNav.cpp (WP_ACC, WP_ACC_Z). The real controller then
+# commands lean and thrust. The simulated body does this part: it takes a tenth of a second.
 
 ACCELERATION, JERK = 2.5, 5.0  # m/s^2, m/s^3
 ACCELERATION_UP, JERK_UP = 1.0, 5.0
@@ -95,7 +96,9 @@ ERROR_FILTER = 2 * math.pi * 5.0  # 1/s: PSC_NE_VEL_FLTE and _FLTD
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """1/s for a position error; 1/s, 1/s^2 and 1 for a velocity error, its integral and its derivative."""
+    """Gains: 1/s for a position error.
+
+    1/s, 1/s^2 and 1 for a velocity error, its integral and its derivative."""
 
     position: float
     proportional: float
@@ -109,7 +112,7 @@ INTEGRAL_LIMIT = 10.0  # m/s^2
 
 
 class Axis(Generic[Number]):
-    """One of the two loops: horizontal (complex) or vertical (float)."""
+    """Control loop of one axis: horizontal (complex) or vertical (float)."""
 
     def __init__(self, gains: Gains, path: Path[Number], most: float) -> None:
         self._gains, self._most = gains, most
@@ -121,7 +124,7 @@ class Axis(Generic[Number]):
         self.path: Path[Number] = path
 
     def begin(self, position: Number, velocity: Number) -> None:
-        """Start anew from where the vehicle is and as it moves, without a jump of what is asked for."""
+        """Restart at the vehicle's state, without a jump of the commanded acceleration."""
         if self._gains.integral:
             self.path.begin(position, velocity, self._nothing)
             self._integral = self._asked
@@ -130,15 +133,15 @@ class Axis(Generic[Number]):
         self._error = self._derivative = self._nothing
 
     def rest(self) -> None:
-        """Nothing is asked for: the vehicle is on the ground."""
+        """Command no acceleration: the vehicle is on the ground."""
         self._asked = self._nothing
 
     def acceleration(self, position: Number, velocity: Number, speed: float, dt: float) -> Number:
-        """What to ask of the body; `speed` limits what a position error may ask for."""
+        """Return the commanded acceleration. `speed` limits the correction of a position error."""
         gains, path = self._gains, self.path
         limit = path.acceleration_limit
         off = limited(path.position - position, reach(speed, gains.position, limit))
-        path.position = position + off  # a path does not run away from a vehicle that cannot follow
+        path.position = position + off  # keep the path near a vehicle that cannot follow it
         wrong = path.velocity + approach(off, gains.position, limit, dt) - velocity
         share = ERROR_FILTER * dt / (1 + ERROR_FILTER * dt)
         before = self._error
@@ -151,44 +154,46 @@ class Axis(Generic[Number]):
 
 
 def horizontal() -> Axis[complex]:
-    """The loop of both horizontal directions."""
+    """Return the control loop of both horizontal directions."""
     return Axis(HORIZONTAL, Path(0j, 0j, 0j, ACCELERATION, JERK), MOST)
 
 
 def vertical() -> Axis[float]:
-    """The loop of the height."""
+    """Return the control loop of the height."""
     return Axis(VERTICAL, Path(0.0, 0.0, 0.0, ACCELERATION_UP, JERK_UP), 9.81)
 
 
 Vector = tuple[float, float, float]
 
 STILL: Vector = (0.0, 0.0, 0.0)
-TIMEOUT = 3.0  # seconds for which a velocity is kept (GUID_TIMEOUT)
+TIMEOUT = 3.0  # seconds for which a velocity setpoint holds (GUID_TIMEOUT)
 SPEED, SPEED_UP, SPEED_DOWN = 5.0, 2.5, 1.5
 LAND_FAST, LAND_SLOW, LAND_SLOWLY_BELOW = 1.5, 0.5, 10.0
-YAW_GAIN, YAW_RATE = 1.5, 1.0  # rad/s per rad, and at most
-TURNS_ABOVE = 0.05  # of the speed limit: faster, and it turns its nose to where it flies (AC_PosControl)
+YAW_GAIN, YAW_RATE = 1.5, 1.0  # rad/s per rad, and the largest rad/s
+TURNS_ABOVE = 0.05  # share of the speed limit; above it, the nose turns into the direction of flight (AC_PosControl)
 
 
-class Aim(enum.Enum):
-    """What the vehicle is steered to."""
+class GuidanceMode(enum.Enum):
+    """Submode of GUIDED, landing, or free fall: the kind of the present target."""
 
-    HOLD = enum.auto()  # brake, and stay there
+    HOLD = enum.auto()  # brake, then hold the position
     TAKEOFF = enum.auto()
     POSITION = enum.auto()
     VELOCITY = enum.auto()
     POSITION_VELOCITY = enum.auto()
     LAND = enum.auto()
-    FALL = enum.auto()  # a manual mode without anybody at the sticks
+    FALL = enum.auto()  # a manual mode without a pilot
 
 
-FOLLOWING = (Aim.POSITION, Aim.VELOCITY, Aim.POSITION_VELOCITY)
+FOLLOWING = (GuidanceMode.POSITION, GuidanceMode.VELOCITY, GuidanceMode.POSITION_VELOCITY)
 
 
 class Guidance:
-    """The current aim. `speed` is the horizontal limit, `up` and `down` are the vertical ones; `position` is the
-    target, for LAND home's height. `yaw` (rad, ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it
-    turns to the direction of flight."""
+    """Present target and limits of a copter.
+
+    `speed` is the horizontal limit, `up` and `down` the vertical ones (m/s). `position` is the target; for LAND its
+    height is that of home. `yaw` (rad, ENU) is held. With `looks_ahead`, and without a yaw in the setpoint, the vehicle
+    turns into the direction of flight."""
 
     def __init__(self) -> None:
         self.speed = SPEED
@@ -196,67 +201,69 @@ class Guidance:
         self.up, self.down = self.default_up, self.default_down = SPEED_UP, SPEED_DOWN
         self.timeout = TIMEOUT
         self.looks_ahead = True
-        self.aim = Aim.HOLD
+        self.aim = GuidanceMode.HOLD
         self.position: Vector = STILL
         self.velocity: Vector = STILL
-        self.push: Vector = STILL  # m/s^2, that goes with the velocity
+        self.push: Vector = STILL  # m/s^2, feed-forward to the velocity
         self.since = 0.0
-        self.descends = 0.0  # when a LAND begins to go down
+        self.descends = 0.0  # time when a LAND begins to descend
         self.yaw = 0.0
         self.yaw_rate = 0.0
-        self._yaw_told = False
+        self._has_yaw_setpoint = False
         self._begun = False
         self._level, self._height = horizontal(), vertical()
 
-    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
-        """A new aim, or the same with other numbers."""
+    def go(
+        self, aim: GuidanceMode, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL
+    ) -> None:
+        """Set a target, of the present kind or of another."""
         if aim is not self.aim:
             self._begun = False
-            if aim is not Aim.TAKEOFF:  # the only change of submode that keeps the speeds
+            if aim is not GuidanceMode.TAKEOFF:  # a change to take-off is the only one that keeps the speeds
                 self.take_default_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
 
     def take_default_speeds(self) -> None:
-        """Forget the limits that commands have set."""
+        """Forget the speed limits that commands have set."""
         self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
 
     def land(self, now: float, position: Vector, pause: float) -> None:
-        """Go down after a pause (s)."""
-        self.go(Aim.LAND, now, position)
+        """Descend after `pause` seconds."""
+        self.go(GuidanceMode.LAND, now, position)
         self.descends = now + pause
 
     def turn(self, yaw: float | None, rate: float) -> None:
-        """What the last setpoint says of the yaw: nothing, an angle, a rate, or both."""
-        self._yaw_told = yaw is not None or rate != 0.0 or self.aim not in FOLLOWING
+        """Apply the yaw of the last setpoint: none, an angle, a rate, or both."""
+        self._has_yaw_setpoint = yaw is not None or rate != 0.0 or self.aim not in FOLLOWING
         self.yaw_rate = rate
         if yaw is not None:
             self.yaw = yaw
 
     def stop(self, now: float, position: Vector) -> None:
-        """Brake, from whatever it is at (ModeGuided::init)."""
+        """Brake and hold, whatever the present target is (ModeGuided::init)."""
         self._begun = False
-        self.go(Aim.HOLD, now, position)
+        self.go(GuidanceMode.HOLD, now, position)
 
     def rest(self) -> None:
-        """On the ground: begin anew when it leaves it."""
+        """Prepare for a restart of the controllers: the vehicle is on the ground."""
         self._begun = False
         self._level.rest()
         self._height.rest()
 
     def turning(self, yaw: float, dt: float) -> float:
-        """The yaw rate to ask of the body, given its yaw."""
+        """Return the commanded yaw rate for the estimated yaw."""
         self.yaw += self.yaw_rate * dt
         velocity = self._level.path.velocity
-        if self.looks_ahead and not self._yaw_told and abs(velocity) > TURNS_ABOVE * self.speed:
+        if self.looks_ahead and not self._has_yaw_setpoint and abs(velocity) > TURNS_ABOVE * self.speed:
             self.yaw = cmath.phase(velocity)
         wanted = YAW_GAIN * math.remainder(self.yaw - yaw, math.tau) + self.yaw_rate
         return max(-YAW_RATE, min(YAW_RATE, wanted))
 
     def acceleration(self, position: Vector, velocity: Vector, now: float, dt: float) -> Vector:
-        """What to ask of the body, given where the vehicle believes to be. `dt` is positive."""
-        if self.aim is Aim.FALL:
+        """Return the commanded acceleration for the estimated position and velocity. `dt` is positive."""
+        if self.aim is GuidanceMode.FALL:
             return 0.0, 0.0, -9.0
         at, moving = complex(position[0], position[1]), complex(velocity[0], velocity[1])
         if not self._begun:
@@ -273,19 +280,19 @@ class Guidance:
         return level.real, level.imag, self._height.acceleration(position[2], velocity[2], rising, dt)
 
     def _shape(self, height: float, now: float, dt: float) -> None:
-        """Bend the path towards the aim."""
+        """Shape the path towards the target."""
         level, up = self._level.path, self._height.path
         (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, self.push
         match self.aim:
-            case Aim.POSITION | Aim.TAKEOFF:
+            case GuidanceMode.POSITION | GuidanceMode.TAKEOFF:
                 fast, rising = self._speeds(abs(complex(x, y) - level.position), z - up.position)
                 level.seek(complex(x, y), 0j, 0j, fast, dt)
                 up.seek(z, 0.0, 0.0, rising, dt)
-            case Aim.POSITION_VELOCITY:
+            case GuidanceMode.POSITION_VELOCITY:
                 level.seek(complex(x, y), complex(vx, vy), complex(ax, ay), self.speed, dt)
                 up.seek(z, vz, az, self.up if z > up.position else self.down, dt)
                 self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
-            case Aim.LAND:
+            case GuidanceMode.LAND:
                 level.match(0j, 0j, dt)
                 fast = LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST
                 up.match(-fast if now >= self.descends else 0.0, 0.0, dt)
@@ -295,7 +302,7 @@ class Guidance:
         self.velocity = (vx + ax * dt, vy + ay * dt, vz + az * dt)
 
     def _speeds(self, far: float, up: float) -> tuple[float, float]:
-        """The horizontal and the vertical speed of a straight way there, within both limits (kinematic_limit)."""
+        """Return both speeds of a straight path to the target, within both limits (kinematic_limit)."""
         length = math.hypot(far, up)
         if length <= 0.0:
             return self.speed, self.up

@@ -1,8 +1,7 @@
-"""The parameters of a simulated ArduPilot copter, under the names of its version.
+"""Parameters of a simulated ArduPilot copter, under the names of its version.
 
-Integers travel as floats of that value (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST). The defaults are those of a
-copter that was prepared for flight with a companion computer and without a remote control.
-"""
+Integers travel as floats of the same value (MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST). The defaults are those of a
+copter prepared for flight with a companion computer and without a remote control."""
 
 from __future__ import annotations
 
@@ -19,7 +18,9 @@ DEVELOPMENT = "-dev"
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter, and its older name and unit (that many of it are one of the present) before a version."""
+    """Parameter of the present version.
+
+    Before `since` it has the name `older`, and its value is `units` times as large."""
 
     name: str
     value: float
@@ -61,7 +62,7 @@ PARAMETERS = (
 _GPS = {"EK3_SRC1_POSXY": 3, "EK3_SRC1_POSZ": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 2}
 _VISION = {"EK3_SRC1_POSXY": 6, "EK3_SRC1_POSZ": 6, "EK3_SRC1_VELXY": 0, "EK3_SRC1_VELZ": 0, "EK3_SRC1_YAW": 6}
 _EXTERNAL = {**_VISION, "VISO_TYPE": 1, "GPS1_TYPE": 0, "COMPASS_ENABLE": 0}
-# What a person would have set for a robot's `positioning`.
+# Values that an operator sets for a robot's `positioning`.
 PREPARED: Mapping[str, Mapping[str, float]] = {
     "gps_input": {**_GPS, "GPS1_TYPE": 14, "GPS1_DELAY_MS": 50},
     "vision": _EXTERNAL,
@@ -69,9 +70,10 @@ PREPARED: Mapping[str, Mapping[str, float]] = {
 }
 
 
-class Parameters(dict[str, float]):
-    """Values by the names that they have outside, in `version`; `of` reads them by their present ones. A version that
-    ends in DEVELOPMENT is that of a build before the release."""
+class SimulatedParameters(dict[str, float]):
+    """Parameter values by the names of `version`; `of` reads them by their present names.
+
+    A version that ends in DEVELOPMENT is a development build before the release."""
 
     def __init__(
         self, version: str = VERSION, table: tuple[Parameter, ...] = PARAMETERS, positioning: str = ""
@@ -79,7 +81,7 @@ class Parameters(dict[str, float]):
         self.development = version.endswith(DEVELOPMENT)
         major, _, minor = version.removesuffix(DEVELOPMENT).partition(".")
         self.release = known = int(major), int(minor)
-        self.positioning = positioning  # that they were set for
+        self.positioning = positioning  # the positioning that the values were preset for
         prepared = PREPARED.get(positioning, {})
         self._table = {p.name: p for p in table}
         self._kinds: dict[str, int] = {}
@@ -90,17 +92,19 @@ class Parameters(dict[str, float]):
             self[name] = prepared.get(p.name, float(p.value)) * units
 
     def of(self, name: str) -> float:
-        """The value in the present unit; the default where somebody has removed it."""
+        """Return the value in the present unit; the default if the parameter was removed."""
         outside, units = self._outside[name]
         value = self.get(outside)
         return self._table[name].value if value is None else value / units
 
     def kind(self, name: str) -> int:
-        """Its MAV_PARAM_TYPE."""
+        """Return the parameter's MAV_PARAM_TYPE."""
         return int(self._kinds.get(name, REAL))
 
-    def told(self, name: str, index: int = -1) -> mavlink.MAVLink_param_value_message | None:
-        """PARAM_VALUE of the parameter of that name, or with that number where one is given. None: there is none."""
+    def value_message(self, name: str, index: int = -1) -> mavlink.MAVLink_param_value_message | None:
+        """Return PARAM_VALUE of the parameter with this name, or with this index if >= 0.
+
+        None if there is none."""
         names = list(self)
         if index >= 0:
             name = names[index] if index < len(names) else ""
@@ -112,7 +116,7 @@ class Parameters(dict[str, float]):
         )
 
     def change(self, name: str, value: float) -> bool:
-        """As PARAM_SET asks; False when nothing came of it."""
+        """Set a value, as PARAM_SET does. Return whether it was accepted."""
         if name not in self or not math.isfinite(value):
             return False
         whole = self.kind(name) != REAL

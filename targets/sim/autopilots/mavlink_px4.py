@@ -1,10 +1,9 @@
-"""A stand-in for PX4's multicopter behind the same interface: only what a robot's agent meets of it.
+"""Simulated PX4 multicopter: the part of its behaviour that an agent meets.
 
-As docs.px4.io (1.15: Offboard Mode, Safety, Parameter Reference) says: OFFBOARD is refused without a stream of
-setpoints faster than 2 Hz, and left COM_OF_LOSS_T after its last one; there it takes off towards a setpoint that is
-higher; modes are pairs of main and sub mode; integers in PARAM_VALUE travel as their bytes. How it moves is not PX4's
-own: the body is flown as ArduPilot would. Of the actions that failsafes may take, LAND and HOLD are simulated.
-"""
+As docs.px4.io says (1.15: Offboard Mode, Safety, Parameter Reference): OFFBOARD is refused without a stream of
+setpoints faster than 2 Hz, and left COM_OF_LOSS_T after the last one. In OFFBOARD it takes off towards a setpoint that
+is higher. Modes are pairs of main and sub mode. Integers in PARAM_VALUE travel as their bytes. Its motion is not PX4's:
+the body is flown as ArduPilot would. Of the failsafe actions, LAND and HOLD are simulated."""
 
 from __future__ import annotations
 
@@ -16,17 +15,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import ACCEPTED, CRITICAL, DENIED, INFO, WARNING, Copter
-from targets.sim.autopilots.mavlink_guided import Aim, Vector
-from targets.sim.autopilots.mavlink_params import REAL, Parameter, Parameters
+from targets.sim.autopilots.mavlink_guided import GuidanceMode, Vector
+from targets.sim.autopilots.mavlink_params import REAL, Parameter, SimulatedParameters
 from targets.sim.autopilots.mavlink_reports import Reports
 from targets.sim.autopilots.mavlink_telemetry import Message
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
 REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
-    """As HEARTBEAT.custom_mode packs it (px4_custom_mode.h)."""
+    """Return HEARTBEAT.custom_mode of a main and a sub mode (px4_custom_mode.h)."""
     return main << 16 | sub << 24
 
 
@@ -34,10 +33,10 @@ OFFBOARD, TAKEOFF, HOLD, LAND = custom_mode(6), custom_mode(4, 2), custom_mode(4
 POSITION = custom_mode(3)
 MODES = (OFFBOARD, TAKEOFF, HOLD, LAND, POSITION)
 GAP = 0.5  # seconds: setpoints must come faster than 2 Hz
-STREAM = 1.0  # seconds for which they must have come before OFFBOARD
-RISES = 0.1  # metres by which a setpoint must be higher than the ground
-LANDS, HOLDS = 4, 5  # of COM_OBL_RC_ACT
-EXCEPT_OFFBOARD = 4  # of COM_RCL_EXCEPT
+STREAM = 1.0  # seconds of setpoints that OFFBOARD requires
+RISES = 0.1  # metres by which a setpoint must be above the ground to cause a take-off
+LANDS, HOLDS = 4, 5  # values of COM_OBL_RC_ACT
+EXCEPT_OFFBOARD = 4  # bit of COM_RCL_EXCEPT
 VERSION = 1 << 24 | 15 << 16 | 4 << 8 | 255
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -59,7 +58,7 @@ PARAMETERS = (
 )
 _EXTERNAL = {"EKF2_GPS_CTRL": 0.0, "EKF2_HGT_REF": 3.0, "EKF2_MAG_TYPE": 5.0}
 PREPARED = {"vision": {**_EXTERNAL, "EKF2_EV_CTRL": 11.0}, "odometry": {**_EXTERNAL, "EKF2_EV_CTRL": 15.0}}
-# What it sends unasked on a link to a companion, Hz (mavlink_main.cpp, MAVLINK_MODE_ONBOARD; the agent's share).
+# Default streams on a link to a companion, Hz (mavlink_main.cpp, MAVLINK_MODE_ONBOARD; those that agents read).
 STREAMS = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
@@ -73,15 +72,15 @@ STREAMS = {
 }
 
 
-class Px4Parameters(Parameters):
-    """PX4's: one name each, integers as bytes."""
+class Px4Parameters(SimulatedParameters):
+    """PX4's parameters: one name each, integers sent as bytes."""
 
     def __init__(self, positioning: str) -> None:
         super().__init__(table=PARAMETERS)
         self.update(PREPARED.get(positioning, {}))
 
-    def told(self, name: str, index: int = -1) -> Message | None:
-        message = super().told(name, index)
+    def value_message(self, name: str, index: int = -1) -> Message | None:
+        message = super().value_message(name, index)
         if message is not None and message.param_type == INTEGER:
             message.param_value = struct.unpack("<f", struct.pack("<i", int(message.param_value)))[0]
         return message
@@ -93,7 +92,7 @@ class Px4Parameters(Parameters):
 
 
 class Px4(Copter):
-    """Modes and arming, PX4's way. Modes are numbers as `custom_mode` packs them."""
+    """PX4's flight modes and arming. Modes are numbers as `custom_mode` packs them."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_PX4
     refusal = "Preflight Fail"
@@ -101,12 +100,12 @@ class Px4(Copter):
     resets_datum = False
     odometry_frames = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
-    def __init__(self, boot: float, params: Parameters, frame: LocalFrame) -> None:
+    def __init__(self, boot: float, params: SimulatedParameters, frame: LocalFrame) -> None:
         super().__init__(boot, params)
         self._frame = frame
         self.mode = HOLD
-        self._setpoint: float | None = None  # when the last one came
-        self._streaming: float | None = None  # since when they come fast enough
+        self._setpoint: float | None = None  # time of the last setpoint
+        self._streaming: float | None = None  # time since which setpoints arrive fast enough
 
     @property
     def following(self) -> bool:
@@ -130,10 +129,10 @@ class Px4(Copter):
         self._setpoint = now
 
     def heard_heartbeat(self, system: int, now: float) -> None:
-        """Nothing depends on them (NAV_DLL_ACT 0)."""
+        """Ignore heartbeats: no failsafe depends on them (NAV_DLL_ACT 0)."""
 
     def refuse_setpoint(self, now: float) -> None:
-        """One that makes no sense is dropped."""
+        """Drop an invalid setpoint."""
 
     def heartbeat(self) -> tuple[int, int]:
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -164,20 +163,22 @@ class Px4(Copter):
     def set_mode(self, mode: int, now: float) -> int:
         if mode not in MODES:
             return DENIED
-        if mode == POSITION or not self.estimator.ready or (mode == OFFBOARD and not self._offered(now)):
+        if mode == POSITION or not self.estimator.ready or (mode == OFFBOARD and not self._has_setpoint_stream(now)):
             self.say(CRITICAL, "Switching to this mode is currently not available")
             return REJECTED
         self.enter(mode, now)
         return ACCEPTED
 
-    def _offered(self, now: float) -> bool:
-        """Whether setpoints come fast enough, and have for long enough."""
+    def _has_setpoint_stream(self, now: float) -> bool:
+        """Return whether setpoints arrive fast enough, and have for long enough."""
         if self._setpoint is None or self._streaming is None:
             return False
         return now - self._setpoint <= GAP and now - self._streaming >= STREAM
 
     def enter(self, mode: int, now: float, pause: float = 0.0) -> None:
-        """Change the mode, without asking: as a remote control or a failsafe does. LAND descends after a pause (s)."""
+        """Change the mode without a check, as a remote control or a failsafe does.
+
+        LAND descends after `pause` (s)."""
         if mode == self.mode:
             return
         self.mode = mode
@@ -186,7 +187,7 @@ class Px4(Copter):
         if mode == LAND:
             self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
         elif mode == TAKEOFF:
-            self.guidance.go(Aim.TAKEOFF, now, (x, y, z + self.params["MIS_TAKEOFF_ALT"]))
+            self.guidance.go(GuidanceMode.TAKEOFF, now, (x, y, z + self.params["MIS_TAKEOFF_ALT"]))
         else:
             self.guidance.stop(now, (x, y, z))
 
@@ -211,20 +212,24 @@ class Px4(Copter):
         return REJECTED if result != ACCEPTED else result
 
     def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
-        """DO_REPOSITION: HOLD, at another place."""
+        """Execute DO_REPOSITION: HOLD at another position."""
         if not self.armed or self.landed:
             return REJECTED
         self.enter(HOLD, now)
-        self.guidance.go(Aim.POSITION, now, place)
+        self.guidance.go(GuidanceMode.POSITION, now, place)
         return ACCEPTED
 
     def watch(self, now: float) -> None:
-        """What happens by itself: take-off, the end of one, auto-disarm, touch-down, failsafes."""
+        """Do what happens without a command: take-off and its end, auto-disarm, touch-down, failsafes."""
         if not self.armed:
             return
         guidance, height = self.guidance, self.position[2]
         if self.landed:
-            rises = guidance.aim is Aim.TAKEOFF or guidance.position[2] > height + RISES or guidance.velocity[2] > RISES
+            rises = (
+                guidance.aim is GuidanceMode.TAKEOFF
+                or guidance.position[2] > height + RISES
+                or guidance.velocity[2] > RISES
+            )
             if self.mode in (OFFBOARD, TAKEOFF) and rises:
                 self.landed = False
             elif now - self._armed_at > self.params["COM_DISARM_PRFLT"]:
@@ -252,10 +257,10 @@ class Px4(Copter):
 
 
 class Px4Reports(Reports):
-    """As `Reports`; the estimator's state is in ESTIMATOR_STATUS, and no target is told in global coordinates."""
+    """PX4's reports: estimator state in ESTIMATOR_STATUS, no target in global coordinates."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
-        super().__init__(copter, frame, upset)
+    def __init__(self, copter: Copter, frame: LocalFrame, fault_state: FaultState | None = None) -> None:
+        super().__init__(copter, frame, fault_state)
         del self.makers[mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT]
         del self.makers[mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT]
         self.makers[mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS] = self._estimator_status

@@ -1,8 +1,8 @@
-"""The messages in which a simulated copter tells of itself, each made when it is due. None: there is nothing to tell.
+"""MAVLink messages that a simulated copter reports its state in, each built when it is due.
 
-As GCS_MAVLINK_Copter of ArduPilot 4.7: before there is a position GLOBAL_POSITION_INT is all zeros; the target in
-global coordinates is told for position-only setpoints, the local one for all.
-"""
+A builder returns None if there is nothing to report. As GCS_MAVLINK_Copter of ArduPilot 4.7: without a position,
+GLOBAL_POSITION_INT is all zeros. The target in global coordinates is reported for position-only setpoints, the local
+one for all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import Copter
-from targets.sim.autopilots.mavlink_guided import STILL, Aim, Vector
+from targets.sim.autopilots.mavlink_guided import STILL, GuidanceMode, Vector
 from targets.sim.autopilots.mavlink_telemetry import Maker, Message
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 
 OFFICIAL, DEVELOPMENT = 255, 0  # FIRMWARE_VERSION_TYPE
 CAPABILITIES = (
@@ -22,7 +22,7 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
 )  # fmt: skip
-POSITION_ONLY, NO_POSITION, NO_YAW = 0xDF8, 0x007, 0xC00  # type masks of a target that is told
+POSITION_ONLY, NO_POSITION, NO_YAW = 0xDF8, 0x007, 0xC00  # type masks of a reported target
 ENDURANCE = 1200.0  # seconds in the air from full to empty
 CAPACITY = 5.0  # Ah
 FULL, EMPTY = 12.6, 10.5  # V, three cells
@@ -41,12 +41,12 @@ ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
 class Reports:
-    """What can be told, by message number. `frame` is the fleet's."""
+    """Builders of reports by message number. `frame` is the fleet's."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
+    def __init__(self, copter: Copter, frame: LocalFrame, fault_state: FaultState | None = None) -> None:
         self.copter, self.frame = copter, frame
-        self._charge = 1.0  # what its flying has left of it
-        self._upset = upset or Upset()
+        self._charge = 1.0  # share of the battery's charge that flying has left
+        self._fault_state = fault_state or FaultState()
         self._drained: float | None = None
         self._seen = 0.0
         self.makers: dict[int, Maker] = {
@@ -70,17 +70,17 @@ class Reports:
 
     @property
     def battery(self) -> float:
-        """What is left of it."""
-        return min(self._charge, self._upset.battery)
+        """Share of the battery's charge that is left."""
+        return min(self._charge, self._fault_state.battery)
 
     def drain(self, now: float) -> None:
-        """The battery empties in the air."""
+        """Drain the battery for the time in the air."""
         if self._drained is not None and self.copter.armed and not self.copter.landed:
             self._charge = max(0.0, self._charge - (now - self._drained) / ENDURANCE)
         self._drained = now
 
     def clock(self, now: float) -> int:
-        """Milliseconds since boot, never 0."""
+        """Return the milliseconds since boot, never 0."""
         return 1 + round((now - (self.copter.estimator.started or 0.0)) * 1000)
 
     def heartbeat(self, now: float) -> Message:
@@ -104,12 +104,12 @@ class Reports:
         )  # fmt: skip
 
     def _time(self, now: float) -> Message:
-        """It does not know the time of day: the world's clock begins at 0."""
+        """Report no time of day: the world's clock begins at 0."""
         return mavlink.MAVLink_system_time_message(0, self.clock(now))
 
     @property
     def volts(self) -> float:
-        """Of the battery."""
+        """Voltage of the battery."""
         return EMPTY + (FULL - EMPTY) * self.battery
 
     @property
@@ -139,7 +139,7 @@ class Reports:
         )  # fmt: skip
 
     def _heading(self) -> float:
-        """Radians clockwise from north, within -pi to pi."""
+        """Return the heading in radians clockwise from north, within -pi to pi."""
         return math.remainder(math.pi / 2 - self.copter.estimator.estimate.yaw, math.tau)
 
     def _attitude(self, now: float) -> Message:
@@ -152,7 +152,7 @@ class Reports:
         )
 
     def place(self, p: Vector) -> tuple[int, int, float]:
-        """Latitude and longitude (1e-7 degrees) and altitude (m) of a point in the fleet's frame."""
+        """Return latitude and longitude (1e-7 degrees) and altitude (m) of a point in the fleet's frame."""
         latitude, longitude, altitude = self.frame.geodetic(*p)
         return round(latitude * 1e7), round(longitude * 1e7), altitude
 
@@ -170,7 +170,7 @@ class Reports:
         )  # fmt: skip
 
     def ned(self, p: Vector) -> Vector | None:
-        """A point of the fleet's frame in that about the EKF's origin."""
+        """Convert a point of the fleet's frame to NED about the EKF's origin; None without an origin."""
         origin = self.copter.estimator.origin
         if origin is None:
             return None
@@ -190,11 +190,11 @@ class Reports:
         if target is None or not self.copter.shows_target:
             return None
         match guidance.aim:
-            case Aim.POSITION:
+            case GuidanceMode.POSITION:
                 mask, (vx, vy, vz) = POSITION_ONLY, STILL
-            case Aim.TAKEOFF:  # it tells the target of GUIDED, which a take-off does not have
+            case GuidanceMode.TAKEOFF:  # ArduPilot reports the target of GUIDED here, which a take-off does not have
                 mask, (vx, vy, vz), target = POSITION_ONLY, STILL, STILL
-            case Aim.POSITION_VELOCITY:
+            case GuidanceMode.POSITION_VELOCITY:
                 mask, (vx, vy, vz) = NO_YAW, guidance.velocity
             case _:
                 mask, (vx, vy, vz), target = NO_YAW | NO_POSITION, guidance.velocity, STILL
@@ -204,7 +204,7 @@ class Reports:
 
     def _global_target(self, now: float) -> Message | None:
         guidance = self.copter.guidance
-        if not self.copter.shows_target or guidance.aim is not Aim.POSITION:
+        if not self.copter.shows_target or guidance.aim is not GuidanceMode.POSITION:
             return None
         return mavlink.MAVLink_position_target_global_int_message(
             self.clock(now), mavlink.MAV_FRAME_GLOBAL, 0xF000 | POSITION_ONLY, *self.place(guidance.position),
@@ -216,7 +216,7 @@ class Reports:
             state = mavlink.MAV_LANDED_STATE_ON_GROUND
         elif self.copter.landing:
             state = mavlink.MAV_LANDED_STATE_LANDING
-        elif self.copter.guidance.aim is Aim.TAKEOFF:
+        elif self.copter.guidance.aim is GuidanceMode.TAKEOFF:
             state = mavlink.MAV_LANDED_STATE_TAKEOFF
         else:
             state = mavlink.MAV_LANDED_STATE_IN_AIR

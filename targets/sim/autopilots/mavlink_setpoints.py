@@ -1,9 +1,8 @@
-"""Reads SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED the way ArduPilot's guided mode does.
+"""Decoder of SET_POSITION_TARGET_GLOBAL_INT and _LOCAL_NED that follows ArduPilot's guided mode.
 
-Position, velocity and acceleration are used whole or not at all, and an acceleration only with a velocity (one alone is
-not simulated); a frame or mask that is none stops the vehicle; on the ground everything is dropped in silence; a
-position that is not finite aborts the autopilot.
-"""
+Position, velocity and acceleration are used whole or not at all, and an acceleration only with a velocity. (ArduPilot
+also accepts an acceleration alone; this is not simulated.) An unknown frame or mask stops the vehicle. On the ground
+every setpoint is dropped silently. A position that is not finite aborts the autopilot."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.sim.autopilots.mavlink_copter import DENIED, Copter
-from targets.sim.autopilots.mavlink_guided import STILL, Aim, Vector
+from targets.sim.autopilots.mavlink_guided import STILL, GuidanceMode, Vector
 from targets.sim.autopilots.mavlink_telemetry import Message
 
 NO_POSITION, NO_VELOCITY, NO_ACCELERATION = 0x007, 0x038, 0x1C0
@@ -21,18 +20,22 @@ FORCE, NO_YAW, NO_YAW_RATE = 0x200, 0x400, 0x800
 AMSL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 LOCAL = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED)  # about the EKF's origin
-OFFSET = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # about where the vehicle is
+OFFSET = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # about the vehicle's position
 BODY = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)  # x forward, for offsets and velocities
-AIMS = {(True, False): Aim.POSITION, (False, True): Aim.VELOCITY, (True, True): Aim.POSITION_VELOCITY}
+AIMS = {
+    (True, False): GuidanceMode.POSITION,
+    (False, True): GuidanceMode.VELOCITY,
+    (True, True): GuidanceMode.POSITION_VELOCITY,
+}
 
 
-def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: float) -> bool:
-    """Change the copter's aim as the message says. False when it has killed the autopilot."""
+def handle_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: float) -> bool:
+    """Apply a setpoint to the copter's guidance. Return False if it has aborted the autopilot."""
     copter.heard_setpoint(now)
     estimate, ekf = copter.estimator.estimate, copter.estimator.origin
     if not copter.following or ekf is None:
         return True
-    uses = _uses(message.type_mask)
+    uses = _used_fields(message.type_mask)
     globally = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
     if uses is None or message.coordinate_frame not in (AMSL + ABOVE_HOME if globally else LOCAL + OFFSET):
         copter.refuse_setpoint(now)
@@ -43,9 +46,9 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
             return not copter.fragile
         position = _global(message, copter, frame) if globally else _local(message, copter, frame, ekf)
     if uses[1]:
-        velocity = _turned(message, message.vx, message.vy, message.vz, estimate.yaw)
+        velocity = _to_enu(message, message.vx, message.vy, message.vz, estimate.yaw)
     if not message.type_mask & NO_ACCELERATION:
-        push = _turned(message, message.afx, message.afy, message.afz, estimate.yaw)
+        push = _to_enu(message, message.afx, message.afy, message.afz, estimate.yaw)
     if not all(map(math.isfinite, velocity + push)):
         return True
     copter.guidance.go(AIMS[uses], now, position, velocity, push)
@@ -56,7 +59,7 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
 
 
 def reposition(message: Message, copter: Copter, frame: LocalFrame, now: float) -> int:
-    """DO_REPOSITION in a COMMAND_INT: go there and stay. A MAV_RESULT."""
+    """Execute DO_REPOSITION in a COMMAND_INT: fly there and hold. Return a MAV_RESULT."""
     if message.frame not in AMSL + ABOVE_HOME or not math.isfinite(message.z) or not math.isfinite(message.param2):
         return DENIED
     altitude = message.z + (_home_altitude(copter, frame) if message.frame in ABOVE_HOME else 0.0)
@@ -69,8 +72,10 @@ def _home_altitude(copter: Copter, frame: LocalFrame) -> float:
     return 0.0 if copter.home is None else frame.geodetic(*copter.home)[2]
 
 
-def _uses(mask: int) -> tuple[bool, bool] | None:
-    """Whether position and velocity are used; None when a part of a group is, or acceleration without velocity."""
+def _used_fields(mask: int) -> tuple[bool, bool] | None:
+    """Return whether position and velocity are used.
+
+    None for an invalid mask: a part of a group, or an acceleration without velocity."""
     ignored = [mask & group for group in (NO_POSITION, NO_VELOCITY, NO_ACCELERATION)]
     whole = all(i in (0, group) for i, group in zip(ignored, (NO_POSITION, NO_VELOCITY, NO_ACCELERATION), strict=True))
     uses = not ignored[0], not ignored[1]
@@ -88,13 +93,13 @@ def _local(message: Message, copter: Copter, frame: LocalFrame, ekf: LocalFrame)
     if message.coordinate_frame in LOCAL:
         return frame.enu(*ekf.geodetic(message.y, message.x, -message.z))
     estimate = copter.estimator.estimate
-    x, y, z = _turned(message, message.x, message.y, message.z, estimate.yaw)
+    x, y, z = _to_enu(message, message.x, message.y, message.z, estimate.yaw)
     here = estimate.position
     return here[0] + x, here[1] + y, here[2] + z
 
 
-def _turned(message: Message, x: float, y: float, z: float, yaw: float) -> Vector:
-    """A vector of the message's frame, NED or forward-right-down, in ENU."""
+def _to_enu(message: Message, x: float, y: float, z: float, yaw: float) -> Vector:
+    """Convert a vector from the message's frame (NED or FRD) to ENU."""
     if message.coordinate_frame not in BODY:
         return y, x, -z
     return x * math.cos(yaw) + y * math.sin(yaw), x * math.sin(yaw) - y * math.cos(yaw), -z

@@ -1,4 +1,4 @@
-"""What a simulated autopilot sends and when: what was asked for, at its rate or once, and what it says."""
+"""Telemetry scheduler of a simulated autopilot: periodic messages, requested messages and STATUSTEXTs."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ _FAST, _NEVER = 1 / 50, math.inf  # seconds
 _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
-class Telemetry:
-    """Streams by SET_MESSAGE_INTERVAL. `makers` make each message; `streams` are sent unasked, with their rates (Hz);
-    `said` holds STATUSTEXTs to be sent."""
+class SimulatedTelemetry:
+    """Message streams with rates that SET_MESSAGE_INTERVAL sets.
+
+    `makers` build the messages. `streams` are the default rates (Hz). `said` holds STATUSTEXTs to be sent."""
 
     def __init__(
         self, makers: Mapping[int, Maker], streams: Mapping[int, float], said: list[tuple[int, str]],
@@ -30,7 +31,7 @@ class Telemetry:
         self._soonest = -math.inf
 
     def ask(self, message: int, interval: float, now: float) -> int:
-        """SET_MESSAGE_INTERVAL with microseconds, 0 for the default and -1 for never. A MAV_RESULT."""
+        """Execute SET_MESSAGE_INTERVAL: microseconds, 0 for the default, -1 for never. Return a MAV_RESULT."""
         if message not in self._makers or not math.isfinite(interval):
             return int(mavlink.MAV_RESULT_FAILED)
         every = interval * 1e-6
@@ -42,7 +43,7 @@ class Telemetry:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def once(self, message: int, now: float) -> int:
-        """REQUEST_MESSAGE. A MAV_RESULT."""
+        """Execute REQUEST_MESSAGE. Return a MAV_RESULT."""
         made = self._makers[message](now) if message in self._makers else None
         if made is None:
             return int(mavlink.MAV_RESULT_FAILED)
@@ -50,7 +51,7 @@ class Telemetry:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def step(self, now: float) -> None:
-        """Send what is due, and what was said."""
+        """Send pending STATUSTEXTs and all messages that are due."""
         if self._said:
             for severity, text in self._said:
                 self._send(mavlink.MAVLink_statustext_message(severity, text[:50].encode("ascii", "replace")))

@@ -1,11 +1,10 @@
-"""A simulated ArduPilot rover: takes overridden sticks in MANUAL, and drives a body.
+"""Simulated ArduPilot rover: obeys stick overrides in MANUAL, and drives a body.
 
-As was observed on ArduPilot 4.7: nothing but heartbeats comes until it is asked for; a mode set in the first second
-after boot is acknowledged and lost; overrides count only from system 255 (MAV_GCS_SYSID), 1000 to 2000 with a dead
-zone of 30 about 1500, more than 1500 is a right turn; it drives on for RC_OVERRIDE_TIME after the last one, then
-goes neutral; a parameter that it does not know it never answers. In other modes than MANUAL it stands here: GUIDED is
-not simulated.
-"""
+As observed on ArduPilot 4.7: it sends only heartbeats until other messages are requested. A mode set in the first
+second after boot is acknowledged and lost. Overrides count only from system 255 (MAV_GCS_SYSID), 1000 to 2000 with a
+dead zone of 30 about 1500; more than 1500 is a right turn. It drives on for RC_OVERRIDE_TIME after the last override,
+then goes neutral. A request for an unknown parameter is not answered. In modes other than MANUAL this rover stands
+still: GUIDED is not simulated."""
 
 from __future__ import annotations
 
@@ -17,8 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.base.settings import decode
-from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, Parameters
-from targets.sim.autopilots.mavlink_telemetry import Message, Telemetry
+from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, SimulatedParameters
+from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
 from targets.sim.base.bodies import Car, DeviceContext
 from targets.sim.base.ports import Port
 
@@ -26,11 +25,11 @@ MANUAL, HOLD, GUIDED = 0, 4, 15
 MODES = (MANUAL, HOLD, GUIDED)
 GROUND_STATION = 255
 DEAD_ZONE, MIDDLE, END = 30, 1500, 2000
-MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
+MODE_LOST = 1.0  # seconds after boot in which a new mode is acknowledged and forgotten
 SUPPLY = 11.1  # volts
 VERSION = 4 << 24 | 7 << 16 | 255  # 4.7.0, official
 _ENDS = {"MIN": 1000, "TRIM": 1500, "MAX": 2000, "DZ": 30, "REVERSED": 0}
-# Those of a rover that was prepared for a companion computer and has no remote control.
+# Values of a rover prepared for a companion computer and without a remote control.
 PARAMETERS = (
     Parameter("FS_ACTION", 2),
     Parameter("FS_GCS_ENABLE", 1),
@@ -52,8 +51,11 @@ _KNOWS = mavlink.EKF_ATTITUDE | mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_VELOCITY
 
 
 class SimulatedRover:
-    """targets.sim.base.bodies.Device. Full throttle is the robot's `full_speed`, neutral brakes with its `braking`.
-    `boot` seconds pass until its EKF knows where it is and it can be armed."""
+    """Device of a car with an ArduPilot rover.
+
+    Full throttle is the robot's `full_speed`, neutral brakes with `braking`.
+
+    After `boot` seconds its EKF has a position and it can be armed."""
 
     def __init__(self, body: Car, context: DeviceContext, port: Port | None = None) -> None:
         self._body, self._settings = body, decode(context.settings)
@@ -63,7 +65,7 @@ class SimulatedRover:
         self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mavlink.robust_parsing = True
         self._now = 0.0
-        self._override: dict[int, tuple[int, float]] = {}  # channel -> value, when it came
+        self._override: dict[int, tuple[int, float]] = {}  # channel -> value and time of arrival
         self.mode, self.armed = HOLD, False
         makers = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -73,9 +75,9 @@ class SimulatedRover:
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._sticks,
         }
-        self.parameters = Parameters(table=PARAMETERS)
+        self.parameters = SimulatedParameters(table=PARAMETERS)
         self.said: list[tuple[int, str]] = []
-        self._telemetry = Telemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
+        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -87,7 +89,7 @@ class SimulatedRover:
         self._now = now
         for datagram in self._port.receive():
             for message in self._mavlink.parse_buffer(bytearray(datagram)) or ():
-                self._take(message, now)
+                self._handle(message, now)
         self._drive(now)
         self._telemetry.step(now)
 
@@ -96,7 +98,7 @@ class SimulatedRover:
         self._port.close()
 
     def stick(self, channel: int, now: float) -> float:
-        """What a channel asks for, -1 to 1: RC_Channel::pwm_to_angle_dz."""
+        """Return the position of a channel's stick, -1 to 1 (RC_Channel::pwm_to_angle_dz)."""
         value, came = self._override.get(channel, (MIDDLE, now))
         if now - came > self.parameters.of("RC_OVERRIDE_TIME"):
             return 0.0
@@ -112,25 +114,25 @@ class SimulatedRover:
         if throttle == 0.0:
             self._body.brake(self._settings.braking)
 
-    def _take(self, message: Message, now: float) -> None:
+    def _handle(self, message: Message, now: float) -> None:
         if getattr(message, "target_system", 1) not in (0, 1):
             return
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE if message.get_srcSystem() == GROUND_STATION:
                 for channel in (1, 3):
                     value = getattr(message, f"chan{channel}_raw")
-                    if value == 0:  # back to the receiver, which there is none of
+                    if value == 0:  # back to the receiver; there is none
                         self._override.pop(channel, None)
                     elif value != 65535:
                         self._override[channel] = (value, now)
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
-                if (told := self.parameters.told(message.param_id, message.param_index)) is not None:
-                    self._send(told)  # an unknown one is never answered
+                if (value_message := self.parameters.value_message(message.param_id, message.param_index)) is not None:
+                    self._send(value_message)  # an unknown parameter is not answered
             case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                result = self._obey(message, now)
+                result = self._execute(message, now)
                 self._send(mavlink.MAVLink_command_ack_message(message.command, result))
 
-    def _obey(self, message: Message, now: float) -> int:
+    def _execute(self, message: Message, now: float) -> int:
         accepted, failed = int(mavlink.MAV_RESULT_ACCEPTED), int(mavlink.MAV_RESULT_FAILED)
         match message.command:
             case mavlink.MAV_CMD_DO_SET_MODE:
@@ -190,5 +192,5 @@ class SimulatedRover:
         return mavlink.MAVLink_autopilot_version_message(0, VERSION, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0)
 
     def _sticks(self, now: float) -> Message:
-        """No receiver: there are no channels."""
+        """Report no channels: there is no receiver."""
         return mavlink.MAVLink_rc_channels_message(round(now * 1000), 0, *[0] * 18, 255)

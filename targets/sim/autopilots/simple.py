@@ -1,9 +1,9 @@
-"""Devices of robots of fidelity `simple`: nothing stands between the agent's platform and the body.
+"""Devices of robots of fidelity `simple`: bodies commanded without an autopilot.
 
-The platform that the agent gets for such a robot asks the device here, which is the body with the errors of positions,
-and with what a robot does whose agent has fallen silent: a quad stops, and lands later; a car brakes. In lockstep it
-asks directly; in real time by datagrams, from a process of its own (simple_agent.py).
-"""
+For such a robot the agent's platform reads its position from a device here and commands the body through it. The device
+adds errors of positions. It also does what a robot does whose agent has fallen silent: a quad stops, and lands later; a
+car brakes. In lockstep the platform calls the device. In real time they exchange datagrams between processes
+(simple_agent.py)."""
 
 from __future__ import annotations
 
@@ -16,48 +16,51 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from targets.sim.base.bodies import Asked, BodyState, DeviceContext, Vector
+from targets.sim.base.bodies import BodyCommand, BodyState, DeviceContext, Vector
 from targets.sim.base.ports import Loopback
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
 
-HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad stops, and lands, as an autopilot does
-BRAKING = 0.15  # s without a command after which a car brakes, as its watchdog does
+HOVER_AFTER, LAND_AFTER = (
+    0.5,
+    5.0,
+)  # s without a command after which a quad hovers, and later lands, as an autopilot does
+BRAKE_AFTER = 0.15  # s without a command after which a car brakes, as its watchdog does
 SINKING, GROUND = 0.5, 0.02  # m/s, m
-TOLD_EVERY = 0.02  # s
-_encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Asked).decode
+SEND_PERIOD = 0.02  # s between two positions sent to the agent
+_encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(BodyCommand).decode
 
 
-class Direct(ABC):
-    """targets.sim.base.bodies.Device. `platform` makes the agent's, in this process."""
+class SimpleDevice(ABC):
+    """Device between an agent's platform and a simulated body, without an autopilot."""
 
-    module: ClassVar[str]  # that has the platform, with a function `inside` that makes it in lockstep
-    member: ClassVar[str]  # its class
-    takes: ClassVar[Mapping[str, int]]  # what may be asked of the body, and how many numbers come with it
+    module: ClassVar[str]  # module of the platform; its function `inside` creates the platform in lockstep
+    member: ClassVar[str]  # the platform's class
+    takes: ClassVar[Mapping[str, int]]  # commands of the body -> number of their arguments
 
-    def __init__(self, body: SimpleQuadrotor | SimpleCar, context: DeviceContext) -> None:
+    def __init__(self, body: SimpleQuadrotor | SimpleCarBody, context: DeviceContext) -> None:
         self._seen = body
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._dice = random.Random(f"{context.seed}/{context.robot}/simple")
-        self._upset = context.upset
-        self._now, self._heard = 0.0, 0.0
+        self._fault_state = context.fault_state
+        self._now, self._commanded_at = 0.0, 0.0
         self.overrides: Mapping[str, Any] = {}
         self._port = context.wiring.port() if isinstance(context.wiring, Loopback) else None
         self._next = 0.0
 
     @property
     def agent(self) -> tuple[str, str] | None:
-        """What simple_agent.py is to be told: the platform, and the port."""
+        """Platform and port to pass to simple_agent.py; None in lockstep."""
         return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
-        """See koordgen.runtime.vehicle.inside."""
+        """Create the agent's platform in this process. See koordgen.runtime.vehicle.simulator_services."""
         make: Callable[..., Any] = importlib.import_module(self.module).inside
         return make(settings, key, inside, self)
 
     def state(self) -> BodyState | None:
-        """Where the body is taken to be; None: that is not known now."""
-        truth = self._upset.late(self._now, self._seen.state())
-        place = self._upset.measured(truth.position, self._noise, self._dice)
+        """Return the measured state of the body; None while there is no position."""
+        truth = self._fault_state.late(self._now, self._seen.state())
+        place = self._fault_state.measured(truth.position, self._noise, self._dice)
         return None if place is None else BodyState(place, truth.velocity, truth.yaw, truth.yaw_rate)
 
     def step(self, now: float) -> None:
@@ -66,24 +69,24 @@ class Direct(ABC):
         if self._port is None:
             return
         for datagram in self._port.receive():
-            self._obey(datagram)
+            self._execute(datagram)
         if now >= self._next:
-            self._next = max(self._next + TOLD_EVERY, now)
+            self._next = max(self._next + SEND_PERIOD, now)
             seen = self.state()
             if seen is not None:
                 self._port.send(_encode((seen.position, seen.velocity, seen.yaw, seen.yaw_rate)))
 
-    def _obey(self, datagram: bytes) -> None:
+    def _execute(self, datagram: bytes) -> None:
         try:
             asked = _decode(datagram)
         except msgspec.DecodeError:
             return
         if self.takes.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
-            self.ask(asked.what, asked.values)
+            self.execute(asked.what, asked.values)
 
     @abstractmethod
-    def ask(self, what: str, values: tuple[float, ...]) -> None:
-        """Pass on what the agent asks of the body."""
+    def execute(self, what: str, values: tuple[float, ...]) -> None:
+        """Pass a command of the agent on to the body."""
 
     def close(self) -> None:
         """See Device."""
@@ -91,8 +94,8 @@ class Direct(ABC):
             self._port.close()
 
 
-class DirectQuad(Direct):
-    """Flies as its platform says."""
+class SimpleQuadDevice(SimpleDevice):
+    """Device of a simple quad."""
 
     module, member = "targets.quad.platform.simple", "SimpleQuad"
     takes: ClassVar = {"fly": 4, "motors": 1}
@@ -103,15 +106,15 @@ class DirectQuad(Direct):
         self._flying = False
 
     def fly(self, velocity: Vector, yaw_rate: float) -> None:
-        self._heard = self._now
+        self._commanded_at = self._now
         self._body.fly(velocity, yaw_rate)
 
     def motors(self, on: bool) -> None:
-        self._heard, self._flying = self._now, on
+        self._commanded_at, self._flying = self._now, on
         self._body.motors(on)
 
-    def ask(self, what: str, values: tuple[float, ...]) -> None:
-        """See Direct."""
+    def execute(self, what: str, values: tuple[float, ...]) -> None:
+        """See SimpleDevice."""
         if what == "fly":
             x, y, z, rate = values
             self.fly((x, y, z), rate)
@@ -121,36 +124,36 @@ class DirectQuad(Direct):
     def step(self, now: float) -> None:
         """See Device."""
         super().step(now)
-        silent = now - self._heard
-        if not self._flying or silent <= HOVERING:
+        silent = now - self._commanded_at
+        if not self._flying or silent <= HOVER_AFTER:
             return
-        if silent > LANDING and self._body.state().position[2] < GROUND:
+        if silent > LAND_AFTER and self._body.state().position[2] < GROUND:
             self._flying = False
             self._body.motors(False)
-        self._body.fly((0.0, 0.0, -SINKING if silent > LANDING else 0.0), 0.0)
+        self._body.fly((0.0, 0.0, -SINKING if silent > LAND_AFTER else 0.0), 0.0)
 
 
-class DirectCar(Direct):
-    """Drives as its platform says."""
+class SimpleCarDevice(SimpleDevice):
+    """Device of a simple car."""
 
     module, member = "targets.car.platform.simple", "SimpleCar"
     takes: ClassVar = {"drive": 2, "brake": 1}
 
-    def __init__(self, body: SimpleCar, context: DeviceContext) -> None:
+    def __init__(self, body: SimpleCarBody, context: DeviceContext) -> None:
         super().__init__(body, context)
         self._body = body
         self._braking = float(context.settings.get("braking", 3.0))
 
     def drive(self, speed: float, steering: float) -> None:
-        self._heard = self._now
+        self._commanded_at = self._now
         self._body.drive(speed, steering)
 
     def brake(self, deceleration: float) -> None:
-        self._heard = self._now
+        self._commanded_at = self._now
         self._body.brake(deceleration)
 
-    def ask(self, what: str, values: tuple[float, ...]) -> None:
-        """See Direct."""
+    def execute(self, what: str, values: tuple[float, ...]) -> None:
+        """See SimpleDevice."""
         if what == "drive":
             self.drive(*values)
         else:
@@ -159,5 +162,5 @@ class DirectCar(Direct):
     def step(self, now: float) -> None:
         """See Device."""
         super().step(now)
-        if now - self._heard > BRAKING:
+        if now - self._commanded_at > BRAKE_AFTER:
             self._body.brake(self._braking)

@@ -1,8 +1,7 @@
-"""The seam between the simulated world, its bodies and the devices that stand in for real ones.
+"""Interfaces of simulated bodies and of the devices that stand in for real hardware.
 
-A body lives in the simulated world and moves; a device (a simulated autopilot, a simulated motor controller) talks to
-the robot's agent exactly as the real one would and drives its body. Frames: local ENU metres, yaw in radians.
-"""
+A body moves in the simulated world. A device (a simulated autopilot or motor controller) talks to the robot's agent as
+the real one would, and drives the body. Frames: local ENU, metres, yaw in radians."""
 
 from __future__ import annotations
 
@@ -13,16 +12,16 @@ from typing import Any, Protocol, runtime_checkable
 import msgspec
 
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.vehicle.inside import Inside
 from koordgen.runtime.vehicle.platform import Platform
+from koordgen.runtime.vehicle.simulator_services import SimulatorServices
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.ports import Loopback, Wiring
-from targets.sim.base.upset import Upset
 
 Vector = tuple[float, float, float]
 
 
 class BodyState(msgspec.Struct, frozen=True):
-    """The truth about a body: position (m), velocity (m/s), both ENU; yaw (rad) and its rate (rad/s)."""
+    """True state of a body: position (m) and velocity (m/s) in ENU; yaw (rad) and its rate (rad/s)."""
 
     position: Vector
     velocity: Vector
@@ -30,50 +29,52 @@ class BodyState(msgspec.Struct, frozen=True):
     yaw_rate: float
 
 
-class Asked(msgspec.Struct, frozen=True, array_like=True):
-    """What a body is to do, told from another process: the name of its method, and the numbers that this takes."""
+class BodyCommand(msgspec.Struct, frozen=True, array_like=True):
+    """Command for a body from another process: the name of a method and its arguments."""
 
     what: str
     values: tuple[float, ...]
 
 
 class Quadrotor(Protocol):
-    """A multicopter that follows an acceleration: the attitude loop is the body's own."""
+    """Multicopter that follows an acceleration: the body has its own attitude loop."""
 
     def state(self) -> BodyState: ...
 
     def accelerate(self, acceleration: Vector, yaw_rate: float) -> None:
-        """Ask for an acceleration of the body's centre (m/s^2, ENU, gravity already compensated) and a yaw rate,
-        until told otherwise. The body limits both and needs time to follow."""
+        """Command an acceleration of the body's centre (m/s^2, ENU, gravity compensated) and a yaw rate.
+
+        They hold until the next command. The body limits both and needs time to follow."""
         ...
 
     def motors(self, on: bool) -> None:
-        """Without motors there is no thrust: the body rests or falls."""
+        """Switch the motors. Without motors there is no thrust: the body rests or falls."""
         ...
 
 
 class Car(Protocol):
-    """A car that follows a speed and a steering angle; the reference point is the middle of the rear axle."""
+    """Car that follows a speed and a steering angle; the reference point is the middle of the rear axle."""
 
     wheelbase: float
 
     def state(self) -> BodyState: ...
 
     def drive(self, speed: float, steering: float) -> None:
-        """Ask for a speed (m/s, negative is reverse) and a steering angle (rad, positive to the left)."""
+        """Command a speed (m/s, negative is reverse) and a steering angle (rad, positive to the left)."""
         ...
 
     def brake(self, deceleration: float) -> None:
-        """Brake the wheels with so much (m/s^2) until `drive` is asked for; the steering stays as it is."""
+        """Brake the wheels with this deceleration (m/s^2) until the next `drive`; the steering stays as it is."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceContext:
-    """What a device is made with. `settings` are the robot's own (`body` in its settings.json), `harness` those of
-    the sim target, `origin` is WGS-84 (degrees, degrees, metres), `noise` the standard deviation of sensed
-    positions (m), `key` the run's fleet key, `wiring` makes its ends of what connects it with the agent, `upset` is
-    what is wrong at the moment, `application` the fleet's application_id."""
+    """Arguments of a device's constructor.
+
+    `settings`: the robot's own (`body` in its settings.json). `harness`: settings of the sim target. `origin`: WGS-84
+    (degrees, degrees, metres). `key`: the run's fleet key. `wiring`: creates the device's ends of its connections to
+    the agent. `fault_state`: faults that are present now. `application`: the fleet's application_id."""
 
     robot: str
     settings: Mapping[str, Any]
@@ -82,29 +83,34 @@ class DeviceContext:
     seed: int
     key: bytes
     wiring: Wiring = field(default_factory=Loopback)
-    upset: Upset = field(default_factory=Upset)
+    fault_state: FaultState = field(default_factory=FaultState)
     application: int = 0
 
 
 class Device(Protocol):
-    """Stands in for one real device. `overrides` is laid over the robot's `body` settings, so that its agent finds
-    it (a port on loopback, a pseudo-terminal)."""
+    """Stand-in for one real device.
+
+    `overrides` replaces entries of the robot's `body` settings, so that its agent finds the device (a port on loopback,
+    a pseudo-terminal)."""
 
     overrides: Mapping[str, Any]
 
     def step(self, now: float) -> None:
-        """Called once a physics step (240 Hz) with the world's time in seconds: read commands, run the loops, drive the
-        body, send what is due. Never blocks, never raises on what it received."""
+        """Read commands, run the control loops, drive the body and send what is due.
+
+        Called once per physics step (240 Hz) with the world's time in seconds. Never blocks; never raises on received
+        data."""
         ...
 
     def close(self) -> None: ...
 
 
 @runtime_checkable
-class Embodied(Protocol):
-    """A device that acts on its body directly, with nothing of the real one between: in lockstep the robot's agent has
-    this platform, and not its target's."""
+class DirectlyDriven(Protocol):
+    """Device that commands its body directly, without a simulated autopilot.
 
-    def platform(self, settings: Settings, key: bytes | None, inside: Inside) -> Platform:
-        """See koordgen.runtime.vehicle.inside; a new one for each start of the agent."""
+    In lockstep the agent uses this device's platform instead of its target's."""
+
+    def platform(self, settings: Settings, key: bytes | None, inside: SimulatorServices) -> Platform:
+        """Create the agent's platform, anew for each start. See koordgen.runtime.vehicle.simulator_services."""
         ...

@@ -1,9 +1,8 @@
-"""The folder that a run leaves: claimed for one run, never taken from anyone else.
+"""Output folder of a run: claimed for one run, never taken from another owner.
 
-It is ours when the marker is in it and nothing but what runs write, or what `report` and `export` put there later: the
-marker names those files, one a line. What an earlier run left is removed before the new one begins, so a run that
-fails never looks like the good one before it.
-"""
+The folder belongs to runs if it has the marker file and otherwise only files of runs, or files that `report` and
+`export` wrote later: the marker lists those, one a line. Files of an earlier run are removed before a new one begins,
+so a failed run never looks like the good one before it."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ from types import TracebackType
 from typing import IO
 
 MARKER = ".koord-run"
-GIVEN = "scenario.given.yaml"  # the faults of the run, those that were given by hand among them
-SOURCE = "source"  # the program, its params and functions: what a trace is replayed with
+GIVEN = "scenario.given.yaml"  # the faults of the run, including those injected by hand
+SOURCE = "source"  # the program, its params and functions, with which a trace is replayed
 FILES = (
     "report.html", "summary.json", "summary.txt", "trace.jsonl", "windows.jsonl", "poses.jsonl", "fleet.key",
     "faults.json", GIVEN,
@@ -23,15 +22,16 @@ FILES = (
 FOLDERS = ("plots", "robots", SOURCE)
 
 
-class Foreign(Exception):
-    """The folder must not be used; the message names what is in the way."""
+class ForeignFolder(Exception):
+    """The folder must not be used; the message names the file that prevents it."""
 
     hint = "choose another folder with --out"
 
 
 def record(path: Path) -> None:
-    """Note that koordgen wrote `path`, a file or a folder of files, so that the next run may remove it. Only beside a
-    run's marker; a path elsewhere is its owner's. Raises OSError."""
+    """Record in the marker that koordgen wrote `path`, so that the next run may remove it.
+
+    `path` is a file or a folder of files beside a run's marker. A path elsewhere is left alone. Raises OSError."""
     marker = path.parent / MARKER
     if not marker.is_file():
         return
@@ -42,15 +42,16 @@ def record(path: Path) -> None:
 
 
 def _recorded(folder: Path) -> set[str]:
-    """The files that `record` noted in a folder, relative to it; those in FOLDERS are a run's anyway."""
+    """Return the files that `record` noted, relative to the folder. Files in FOLDERS are a run's anyway."""
     marker = folder / MARKER
     names = marker.read_text(encoding="utf-8").splitlines() if marker.is_file() else []
     return {name for name in names if not {"..", "/", *FOLDERS}.intersection(Path(name).parts)}
 
 
 class RunFolder:
-    """Claim `path` for a run, as a context manager. Raises Foreign before anything was touched, OSError when the
-    folder cannot be made."""
+    """Context manager that claims `path` for a run.
+
+    Raises Foreign before anything was touched, OSError if the folder cannot be created."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -64,7 +65,7 @@ class RunFolder:
             fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._marker.close()
-            raise Foreign(f"{self.path}: another run is writing there") from None
+            raise ForeignFolder(f"{self.path}: another run is writing there") from None
         recorded = _recorded(self.path)
         for name in {*FILES, *recorded}:
             (self.path / name).unlink(missing_ok=True)
@@ -86,18 +87,18 @@ class RunFolder:
 
     def _refuse_foreign(self) -> None:
         if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
-            raise Foreign(f"{self.path}: in the way, and not the folder of a run")
+            raise ForeignFolder(f"{self.path}: is not a folder, so a run cannot write there")
         if not self.path.is_dir():
             return
         found = {entry.name for entry in self.path.iterdir()}
         if found and MARKER not in found:
-            raise Foreign(f"{self.path}: holds files, and they are not of a run ({sorted(found)[0]})")
+            raise ForeignFolder(f"{self.path}: has files that no run wrote ({sorted(found)[0]})")
         recorded = _recorded(self.path)
         strange = sorted(found - {MARKER, *FILES, *FOLDERS} - {Path(name).parts[0] for name in recorded})
-        for name in recorded:  # a folder is ours as far as its files are
+        for name in recorded:  # a folder written by koordgen must have no other files
             beside = (self.path / name).parent
             if beside != self.path and beside.is_dir():
                 own = (each.relative_to(self.path).as_posix() for each in beside.iterdir())
                 strange += sorted(set(own) - recorded)
         if strange:
-            raise Foreign(f"{self.path / strange[0]}: not written by a run, and a new one would clear the folder")
+            raise ForeignFolder(f"{self.path / strange[0]}: no run wrote it, and a new run would clear the folder")

@@ -1,5 +1,8 @@
-"""How a simulated device and its agent are wired: by UDP ports and pseudo-terminals, as real ones are, or in memory
-(lockstep/wires.py)."""
+"""Connections between a simulated device and its agent.
+
+UDP ports and pseudo-terminals, as real devices have.
+
+Connections in memory: lockstep/wires.py."""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from collections import deque
 from contextlib import suppress
 from typing import Protocol
 
-# Numbers that systems do not give out by themselves (Linux: from 32768 on), in blocks.
+# UDP port numbers that the operating system does not assign by itself (Linux assigns from 32768 on), in blocks.
 FIRST, BLOCKS, BLOCK = 20_000, 199, 64
 
 
 class Port(Protocol):
-    """Datagrams to and from the agent; never blocks, never raises."""
+    """Datagrams to and from the agent. Never blocks, never raises."""
 
     def receive(self) -> list[bytes]: ...
 
@@ -26,38 +29,38 @@ class Port(Protocol):
     def close(self) -> None: ...
 
 
-class Numbered(Port, Protocol):
-    """A port that the agent finds under a number, on the loopback."""
+class NumberedPort(Port, Protocol):
+    """Port with a UDP number on loopback, where the agent finds it."""
 
     number: int
 
 
 class Terminal(Protocol):
-    """A serial line to the agent, whose end of it is `device`. Never blocks, never raises."""
+    """Serial line to the agent, which opens `device`. Never blocks, never raises."""
 
     device: str
 
     def read(self) -> bytes: ...
 
     def write(self, data: bytes) -> int:
-        """How many bytes it took."""
+        """Write what fits. Return the number of bytes written."""
         ...
 
     def close(self) -> None: ...
 
 
 class Wiring(Protocol):
-    """Makes the devices' ends."""
+    """Factory of a device's ports and serial lines."""
 
-    def port(self) -> Numbered: ...
+    def port(self) -> NumberedPort: ...
 
     def terminal(self) -> Terminal: ...
 
 
 class Loopback:
-    """The wiring of agents that are processes."""
+    """Wiring for agents that are processes of their own."""
 
-    def port(self) -> Numbered:
+    def port(self) -> NumberedPort:
         return UdpPort()
 
     def terminal(self) -> Terminal:
@@ -65,7 +68,9 @@ class Loopback:
 
 
 class PseudoTerminal:
-    """The slave stays open here: a master whose last slave closes reads errors, and agents come and go."""
+    """Serial line over a pseudo-terminal.
+
+    The slave stays open here: reading from a master whose last slave has closed fails, and agents come and go."""
 
     def __init__(self) -> None:
         self._master, self._slave = pty.openpty()
@@ -74,12 +79,12 @@ class PseudoTerminal:
         self.device = os.ttyname(self._slave)
 
     def read(self) -> bytes:
-        with suppress(OSError):  # nothing there
+        with suppress(OSError):  # nothing to read
             return os.read(self._master, 65536)
         return b""
 
     def write(self, data: bytes) -> int:
-        with suppress(OSError):  # its side is full
+        with suppress(OSError):  # the agent's side is full
             return os.write(self._master, data)
         return 0
 
@@ -91,9 +96,11 @@ class PseudoTerminal:
         self._master = self._slave = -1
 
 
-class Numbers:
-    """UDP ports of the loopback that are free until their agents bind them, seconds later: nobody else is given one,
-    here or by another run on this host. Who gives out a block's numbers holds its first one, as TCP."""
+class PortNumbers:
+    """Pool of UDP ports on loopback that stay free until their agents bind them, seconds later.
+
+    No other device gets the same number, here or in another run on this host: a process reserves a block of numbers by
+    binding the first one as TCP."""
 
     def __init__(self) -> None:
         self._held: list[socket.socket] = []
@@ -101,7 +108,7 @@ class Numbers:
         self._blocks = random.SystemRandom().sample(range(BLOCKS), BLOCKS)
 
     def take(self) -> int:
-        """Raises OSError when there is none."""
+        """Return a free port number. Raises OSError if there is none."""
         while True:
             while not self._free:
                 self._hold()
@@ -111,7 +118,7 @@ class Numbers:
                 return number
 
     def give_back(self, number: int) -> None:
-        """It may be given to somebody else, later than all others: an agent may still be ending."""
+        """Return a number to the pool, to be reused last: its agent may still be ending."""
         self._free.append(number)
 
     def _hold(self) -> None:
@@ -127,11 +134,11 @@ class Numbers:
             each.close()
 
 
-NUMBERS = Numbers()
+NUMBERS = PortNumbers()
 
 
 class UdpPort:
-    """A socket on loopback. `number` is the port for the agent to bind."""
+    """UDP socket on loopback. `number` is the port for the agent to bind."""
 
     def __init__(self) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, 0)

@@ -1,4 +1,4 @@
-"""The scenario: `scenario.json` of a sim bundle, typed and checked; who is in the fleet and where each one starts."""
+"""Scenario: `scenario.json` of a sim bundle, typed and checked, with the robots and their start poses."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.base.bodies import Vector
 
 AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"
-PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # what pip calls them
+PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # names on the package index
 
 
 FILE = "scenario.json"
 
 
 class BadScenario(Exception):
-    """A file that cannot be used; the message names it and what is wrong, `hint` the way out."""
+    """A file that cannot be used. The message names the file and the fault, `hint` the way out."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
         self.hint = hint
 
 
-class Origin(msgspec.Struct, frozen=True):
-    """WGS-84 place of the local frame: degrees, and metres above mean sea level."""
+class GeodeticOrigin(msgspec.Struct, frozen=True):
+    """WGS-84 position of the local frame's origin: degrees, and metres above mean sea level."""
 
     latitude: float
     longitude: float
@@ -41,15 +41,16 @@ MOST_OBSTACLES = 1000  # as the fleet file allows
 
 
 class Start(msgspec.Struct, frozen=True):
-    """Metres, local ENU; yaw in radians counter-clockwise from east."""
+    """Start pose: metres, local ENU; yaw in radians counter-clockwise from east."""
 
     position: Vector
     yaw: float = 0.0
 
 
 class Lidar(msgspec.Struct, frozen=True):
-    """`rays` evenly over the full turn, up to `range` (m), `rate` turns a second; `noise` is the standard deviation (m)
-    of ranges: None is that of positions."""
+    """Lidar with `rays` spread evenly over the full turn, up to `range` (m), at `rate` turns a second.
+
+    `noise` is the standard deviation (m) of ranges; None: that of positions."""
 
     rays: int = 180
     range: float = 6.0
@@ -58,7 +59,9 @@ class Lidar(msgspec.Struct, frozen=True):
 
 
 class Sim(msgspec.Struct, frozen=True):
-    """How a robot is simulated. `load` puts the harness's `fidelity` and noise where the file says nothing."""
+    """Simulation settings of a robot.
+
+    `load` fills in the harness's `fidelity` and noise where they are missing."""
 
     fidelity: Literal["full", "simple", ""] = ""
     lidar: Lidar = Lidar()
@@ -66,8 +69,9 @@ class Sim(msgspec.Struct, frozen=True):
 
 
 class Robot(msgspec.Struct, frozen=True):
-    """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
-    ones, the settings that body has on the robot, and how it is simulated."""
+    """One robot.
+
+    Bundle folder within the sim bundle, simulated body and device, settings of that body, start pose."""
 
     name: str
     pid: int
@@ -77,52 +81,56 @@ class Robot(msgspec.Struct, frozen=True):
     device: str
     start: Start
     settings: dict[str, Any] = {}
-    inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
+    inside: str = ""  # "module:function" that creates the platform in lockstep; empty: not available in lockstep
     sim: Sim = Sim()
 
     @property
     def external(self) -> bool:
-        """Whether a real autopilot flies it."""
+        """True if a real autopilot flies the robot."""
         return self.sim.autopilot == "external"
 
 
 class Scenario(msgspec.Struct, frozen=True):
-    """`harness` are the sim target's own settings, as its manifest declares them; `records` the program's record types:
-    each one's fields and their types, in order."""
+    """Scenario of a run.
+
+    `harness`: the sim target's own settings, as its manifest declares them. `records`: the program's record types, each
+    with its fields and their types in order."""
 
     app: str
     source: str
     program_hash: str
     delta: float
-    origin: Origin
+    origin: GeodeticOrigin
     geofence: Box
     robots: tuple[Robot, ...]
-    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
+    obstacles: tuple[Obstacle, ...] = ()  # obstacles of the world, walls last; numbered from 0
     world: World = World()
     harness: dict[str, Any] = {}
-    # (module of the program, Python module, class) of each driver that agents have.
+    # (module of the program, Python module, class) of each driver that agents load.
     drivers: tuple[tuple[str, str, str], ...] = ()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
     application_id: int = 0
-    gui: bool = False  # whether the contact engine shows its window: no file says so, but --gui
+    gui: bool = False  # True if the contact engine shows its window; set by --gui only
 
     @property
     def engine(self) -> str:
-        """The contact engine that is wanted; see targets/sim/physics/contacts.py."""
+        """Requested contact engine; see targets/sim/physics/contacts.py."""
         return str(self.harness.get("engine", AUTO))
 
     def number(self, setting: str, default: float) -> float:
-        """One of the harness's settings."""
+        """Return a numeric setting of the harness."""
         return float(self.harness.get(setting, default))
 
 
 def load(root: Path, settings: Path | None = None) -> Scenario:
-    """The scenario of the bundle at `root`; a JSON file may be laid over its harness settings. Raises BadScenario."""
+    """Load the scenario of the bundle at `root`; a JSON file may override its harness settings.
+
+    Raises BadScenario."""
     path = root / FILE
     if not path.exists():
         raise BadScenario(
-            f"{path}: there is none, so nobody knows which robots to simulate",
+            f"{path}: not found, so the robots to simulate are unknown",
             "the bundle was built without a fleet: build it again with --fleet FILE",
         )
     try:
@@ -131,14 +139,14 @@ def load(root: Path, settings: Path | None = None) -> Scenario:
         raise BadScenario(f"{path}: {error}", "build the bundle again") from None
     _check(path, root, scenario)
     if settings is not None:
-        scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+        scenario = msgspec.structs.replace(scenario, harness=_with_overrides(scenario.harness, settings))
     if scenario.engine not in (AUTO, *PACKAGES):
         raise BadScenario(f"engine is {scenario.engine!r}", f"there are: {', '.join((AUTO, *PACKAGES))}")
     return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
 
 
 def _filled(robot: Robot, scenario: Scenario) -> Robot:
-    """A robot for which the harness's settings hold where its own say nothing. Raises BadScenario."""
+    """Return the robot with the harness's settings where its own are missing. Raises BadScenario."""
     fidelity = robot.sim.fidelity or scenario.harness.get("fidelity", "full")
     if fidelity not in ("full", "simple"):
         raise BadScenario(f"fidelity is {fidelity!r}", "there are: full, simple")
@@ -161,28 +169,29 @@ def _object(path: Path) -> dict[str, Any]:
 def _check(path: Path, root: Path, scenario: Scenario) -> None:
     names = [robot.name for robot in scenario.robots]
     if not names or len(set(names)) != len(names):
-        raise BadScenario(f"{path}: the robots need names of their own: {names}")
+        raise BadScenario(f"{path}: robots must have distinct names: {names}")
     if [robot.pid for robot in scenario.robots] != list(range(len(names))):
         raise BadScenario(f"{path}: the robots' pids must count from 0")
     if not (math.isfinite(scenario.delta) and scenario.delta > 0):
-        raise BadScenario(f"{path}: delta is {scenario.delta}")
+        raise BadScenario(f"{path}: delta must be a positive number of seconds, not {scenario.delta}")
     if len(scenario.obstacles) > MOST_OBSTACLES:
         raise BadScenario(f"{path}: {len(scenario.obstacles)} obstacles; there may be at most {MOST_OBSTACLES}")
     for number, obstacle in enumerate(scenario.obstacles):
         if not _solid(obstacle):
-            raise BadScenario(f"{path}: obstacle {number} is none: {obstacle}")
+            raise BadScenario(f"{path}: obstacle {number} is not a valid solid: {obstacle}")
     for robot in scenario.robots:
         bundle = (root / robot.bundle).resolve()
         if not bundle.is_relative_to(root.resolve()) or not (bundle / "__main__.py").is_file():
-            raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is not there", "build the bundle again")
+            raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is missing", "build the bundle again")
         if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
             raise BadScenario(f"{path}: {robot.name}'s start is not finite")
     check_starts(scenario)
 
 
 def check_starts(scenario: Scenario) -> None:
-    """Before minutes are spent on a fleet that cannot start: all stand in the geofence, in no obstacle, and no two in
-    one place."""
+    """Refuse a fleet that cannot start: all inside the geofence, none in an obstacle, no two in one place.
+
+    Raises BadScenario, before minutes are spent on a run."""
     hint = "give it another start in the fleet file"
     taken: dict[Vector, str] = {}
     for robot in scenario.robots:
@@ -196,11 +205,11 @@ def check_starts(scenario: Scenario) -> None:
                 raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)
         other = taken.setdefault(place, robot.name)
         if other != robot.name:
-            raise BadScenario(f"{robot.name} starts where {other} does, at {shown}", hint)
+            raise BadScenario(f"{robot.name} starts at the same place as {other}, {shown}", hint)
 
 
 def _solid(obstacle: Obstacle) -> bool:
-    """Whether an obstacle is one: finite, with an extent, its faces among its vertices."""
+    """Return whether an obstacle is valid: finite, with an extent, its faces among its vertices."""
     if not transmissible(obstacle):
         return False
     match obstacle:
@@ -215,7 +224,7 @@ def _solid(obstacle: Obstacle) -> bool:
 
 
 def _within(obstacle: Obstacle, p: Point) -> bool:
-    """Whether a place is in a solid; a mesh is a surface, which nothing is in."""
+    """Return whether a point is in a solid. A mesh is a surface: no point is in it."""
     match obstacle:
         case Block(lo, hi):
             return lo.x <= p.x <= hi.x and lo.y <= p.y <= hi.y and lo.z <= p.z <= hi.z
@@ -228,11 +237,11 @@ def _within(obstacle: Obstacle, p: Point) -> bool:
 
 
 def _inside(box: Box, place: Vector) -> bool:
-    """Whether a place is in a box, its faces included, its corners given in any order."""
+    """Return whether a point is in a box or on its faces. The box's corners may be given in any order."""
     return all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in zip(box.lo, place, box.hi, strict=True))
 
 
-def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:
+def _with_overrides(harness: dict[str, Any], path: Path) -> dict[str, Any]:
     given = _object(path)
     for key, value in given.items():
         if key not in harness:
@@ -241,5 +250,5 @@ def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:
         number = isinstance(old, (int, float)) and not isinstance(old, bool)
         fits = type(value) in (int, float) and math.isfinite(value) if number else type(value) is type(old)
         if not fits:
-            raise BadScenario(f"{path}: {key} is {value!r} where something like {old!r} is expected")
+            raise BadScenario(f"{path}: {key} is {value!r} where a value like {old!r} is expected")
     return {**harness, **given}

@@ -1,8 +1,7 @@
-"""The schedule of a run's faults: what a scenario file says, typed, and what is wrong with one.
+"""Schedule of a run's faults: reads a scenario file and reports its mistakes.
 
-`read` is all that a scenario file has to pass, whoever reads it: the compiler's command line, which knows lines and
-columns, or a bundle, which is handed the same as JSON. Times are t, seconds since the start of round 1.
-"""
+`read` checks plain data for both callers: the compiler's command line, which adds lines and columns, and a bundle,
+which receives JSON. Times are t, in seconds since the start of round 1."""
 
 from __future__ import annotations
 
@@ -17,8 +16,8 @@ import msgspec
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import Wind
 from targets.sim.base.bodies import Vector
+from targets.sim.base.fault_state import PositioningFault
 from targets.sim.base.scenario import MOST_OBSTACLES
-from targets.sim.base.upset import Positioning
 
 MOST_EVENTS = 1000
 Path = tuple[str | int, ...]
@@ -27,20 +26,23 @@ Kind = Literal[
     "wind", "obstacle",
 ]  # fmt: skip
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LASTING = ("partition",)  # need `for`
-MOMENTARY = ("restore", "restart", "continue", "battery", "obstacle")  # know none
+LASTING = ("partition",)  # kinds that require `for`
+MOMENTARY = ("restore", "restart", "continue", "battery", "obstacle")  # kinds without `for`
 ENDS: Mapping[Kind, Kind] = {"restart": "crash", "continue": "freeze", "restore": "cut"}
 NETWORKED = ("partition", "cut", "restore", "network")
 PROBABILITIES = ("loss", "duplication", "reordering")
 CONDITIONS = ("loss", "delay", "jitter", "duplication", "reordering")
 MOST_SECONDS = 86_400.0
-MOST_DELAY = 10.0  # seconds of delay and of jitter
-DURATION = 30.0  # seconds of a run, unless it is asked for another
+MOST_DELAY = 10.0  # seconds, of delay and of jitter
+DURATION = 30.0  # seconds of a run without --duration
 LONGER = "ask for a longer --duration, or leave it out"
 
 
 class Mistake(msgspec.Struct, frozen=True):
-    """`path` leads to what is wrong (`at_key`: its key is), `code` says how, as the compiler's catalogue has it."""
+    """A mistake in a scenario file.
+
+    `path` leads to the wrong part (with `at_key`, to its key). `code` is from the compiler's catalogue of
+    diagnostics."""
 
     code: str
     path: Path
@@ -49,30 +51,32 @@ class Mistake(msgspec.Struct, frozen=True):
     at_key: bool = False
 
 
-class Link(msgspec.Struct, frozen=True):
-    """One direction between two robots, and of its conditions those that are not the others'."""
+class LinkConditions(msgspec.Struct, frozen=True):
+    """Conditions of one direction between two robots: `given` overrides those of all links."""
 
     sender: str
     receiver: str
     given: dict[str, float]
 
     def over(self, network: Conditions) -> Conditions:
-        """Its conditions, where all others have those of `network`."""
+        """Return the link's conditions, given those of all links."""
         return dataclasses.replace(network, **self.given)
 
 
 class Event(msgspec.Struct, frozen=True):
-    """One fault, from `at` for `lasts` seconds (None: until the next of its kind; a crash, a freeze and a cut until the
-    event that ENDS it). `robots` are those that it concerns; of the others only those of its kind are set: the groups
-    that hear one another, the level (a part of 1), the lag (s), the conditions of all links, the number of an obstacle
-    and the vector by which it moves (m, ENU)."""
+    """One fault, from `at` for `lasts` seconds.
+
+    `lasts` is None for a fault until the next of its kind; a crash, a freeze or a cut lasts until the event that ENDS
+    it. `robots` are those concerned. Of the other fields, only those of the kind are set: groups of a partition,
+    battery level (a part of 1), lag (s), conditions of all links, number of an obstacle and the vector by which it
+    moves (m, ENU)."""
 
     kind: Kind
     at: float
     lasts: float | None = None
     robots: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
-    positioning: Positioning = Positioning()
+    positioning: PositioningFault = PositioningFault()
     level: float = 1.0
     lag: float = 0.0
     wind: Wind = Wind()
@@ -82,65 +86,72 @@ class Event(msgspec.Struct, frozen=True):
 
     @property
     def end(self) -> float:
-        """Until when nothing else of its kind may begin."""
+        """Earliest time at which another fault of the same kind may begin."""
         if self.lasts is None:
             return math.inf if self.kind in ENDS.values() else self.at
         return self.at + self.lasts
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """`network` are the conditions of all links but those of `links`; None: nothing is said of the network."""
+    """Faults of a run.
+
+    `network` holds the conditions of all links except `links`; None if the file has none."""
 
     network: Conditions | None = None
-    links: tuple[Link, ...] = ()
+    links: tuple[LinkConditions, ...] = ()
     events: tuple[Event, ...] = ()
 
     @property
     def networked(self) -> bool:
-        """Whether anything is done to what robots send one another."""
+        """True if the schedule affects datagrams between robots."""
         return self.network is not None or bool(self.links) or any(e.kind in NETWORKED for e in self.events)
 
 
 def read(data: Any, robots: Sequence[str], duration: float = math.inf) -> tuple[Schedule, list[Mistake]]:
-    """The schedule that plain data (as of JSON) is, for a fleet of these names and a run of so many seconds; what it
-    says wrong is left out of it, and told."""
-    form = _Form(robots)
+    """Read a schedule from plain data (as of JSON).
+
+    It is for a fleet with these names and a run of `duration` seconds.
+
+    Returns the schedule without its wrong parts, and the mistakes."""
+    form = _ScheduleParser(robots)
     top = form.table(data, (), "the scenario", (), ("network", "links", "events"))
     network = Conditions(**form.conditions(top["network"], ("network",), "network")) if "network" in top else None
     links = [form.link(entry, ("links", i)) for i, entry in enumerate(form.items(top.get("links"), ("links",)))]
     entries = form.items(top.get("events"), ("events",))
     if len(entries) > MOST_EVENTS:
-        form.tell("F005", ("events",), f"events lists {len(entries)}; there may be at most {MOST_EVENTS}")
+        form.report("F005", ("events",), f"events lists {len(entries)}; there may be at most {MOST_EVENTS}")
     events = [form.event(entry, ("events", i)) for i, entry in enumerate(entries)]
-    form.once(links)
-    form.clashes(events)
+    form.check_duplicate_links(links)
+    form.check_overlaps(events)
     for i, event in enumerate(events):
         if event is not None and event.at >= duration:
-            form.tell("F005", ("events", i, "at"), too_late(event, duration), LONGER)
+            form.report("F005", ("events", i, "at"), too_late(event, duration), LONGER)
     known = sorted((e for e in events if e is not None), key=lambda e: e.at)
     return Schedule(network, tuple(link for link in links if link is not None), tuple(known)), form.mistakes
 
 
 def too_late(event: Event, duration: float) -> str:
-    """Why a run of so many seconds cannot have an event: one that never comes would pass for one that was survived."""
+    """Return the message for an event after the run's end.
+
+    It is refused, for it would pass as a fault survived."""
     return f"the {event.kind} at {event.at:g} s would come after the run's end, at {duration:g} s"
 
 
-class _Form:
-    """Takes plain data apart. A part that is wrong is told once, and stands in as None or a default."""
+class _ScheduleParser:
+    """Parser of plain data. A wrong part is reported once and replaced by None or a default."""
 
     def __init__(self, robots: Sequence[str]) -> None:
         self._robots = tuple(robots)
         self.mistakes: list[Mistake] = []
 
-    def tell(self, code: str, path: Path, message: str, hint: str = "", at_key: bool = False) -> None:
+    def report(self, code: str, path: Path, message: str, hint: str = "", at_key: bool = False) -> None:
         self.mistakes.append(Mistake(code, path, message, hint, at_key))
 
     def table(
         self, data: Any, path: Path, what: str, required: Sequence[str], optional: Sequence[str]
     ) -> Mapping[str, Any]:
         if not isinstance(data, dict):
-            self.tell("F004", path, f"{what} must be a mapping (key: value)")
+            self.report("F004", path, f"{what} must be a mapping (key: value)")
             return {}
         known = [*required, *optional]
         meant = set()
@@ -149,33 +160,33 @@ class _Form:
                 near = next(iter(get_close_matches(str(key), known, 1)), None)
                 meant.add(near)
                 hint = f"did you mean {near!r}?" if near else f"known here: {', '.join(sorted(known))}"
-                self.tell("F002", (*path, key), f"unknown key {key!r} in {what}", hint, at_key=True)
+                self.report("F002", (*path, key), f"unknown key {key!r} in {what}", hint, at_key=True)
         for key in required:
             if key not in data and key not in meant:
-                self.tell("F003", path, f"{what} lacks {key!r}")
+                self.report("F003", path, f"{what} lacks {key!r}")
         return {key: value for key, value in data.items() if key in known}
 
     def items(self, data: Any, path: Path) -> Sequence[Any]:
         if data is None:
             return ()
         if not isinstance(data, list):
-            self.tell("F004", path, f"{path[-1]} must be a list")
+            self.report("F004", path, f"{path[-1]} must be a list")
             return ()
         return data
 
     def number(self, data: Any, path: Path, what: str, least: float, most: float) -> float | None:
         sound = (type(data) is int and abs(data) < 2**53) or (type(data) is float and math.isfinite(data))
         if not sound:
-            self.tell("F004", path, f"{what} must be a finite number, not {data!r:.40}")
+            self.report("F004", path, f"{what} must be a finite number, not {data!r:.40}")
             return None
         if not least <= data <= most:
-            self.tell("F005", path, f"{what} is {data:g}; it must be {least:g} to {most:g}")
+            self.report("F005", path, f"{what} is {data:g}; it must be {least:g} to {most:g}")
             return None
         return float(data)
 
     def vector(self, data: Any, path: Path, what: str, most: float) -> Vector | None:
         if not isinstance(data, list) or len(data) != 3:
-            self.tell("F004", path, f"{what} must be [x, y, z], three numbers")
+            self.report("F004", path, f"{what} must be [x, y, z], three numbers")
             return None
         x, y, z = (self.number(v, (*path, i), f"{what}'s {'xyz'[i]}", -most, most) for i, v in enumerate(data))
         return None if x is None or y is None or z is None else (x, y, z)
@@ -185,11 +196,11 @@ class _Form:
             return data
         near = next(iter(get_close_matches(str(data), self._robots, 1)), None)
         hint = f"did you mean {near!r}?" if near else f"there are: {', '.join(self._robots)}"
-        self.tell("F005", path, f"no robot {data!r} in this fleet", hint)
+        self.report("F005", path, f"no robot {data!r} in this fleet", hint)
         return None
 
     def conditions(self, data: Any, path: Path, what: str, more: Sequence[str] = ()) -> dict[str, float]:
-        """Those that are given; `more`: keys of the same table that are somebody else's."""
+        """Return the conditions given in a table; `more` names other keys that the table may have."""
         found = {}
         for key, value in self.table(data, path, what, more, CONDITIONS).items():
             if key in CONDITIONS:
@@ -200,7 +211,7 @@ class _Form:
                 )
         return {key: value for key, value in found.items() if value is not None}
 
-    def link(self, data: Any, path: Path) -> Link | None:
+    def link(self, data: Any, path: Path) -> LinkConditions | None:
         what = f"link {path[-1]}"
         given = self.conditions(data, path, what, ("from", "to"))
         if not isinstance(data, dict) or "from" not in data or "to" not in data:
@@ -209,16 +220,16 @@ class _Form:
         if sender is None or receiver is None:
             return None
         if sender == receiver:
-            self.tell("F005", (*path, "to"), f"{what} leads from {sender} to itself")
+            self.report("F005", (*path, "to"), f"{what} leads from {sender} to itself")
             return None
-        return Link(sender, receiver, given)
+        return LinkConditions(sender, receiver, given)
 
-    def once(self, links: Sequence[Link | None]) -> None:
+    def check_duplicate_links(self, links: Sequence[LinkConditions | None]) -> None:
         seen: dict[tuple[str, str], int] = {}
         for number, link in enumerate(links):
             if link is not None and (first := seen.setdefault((link.sender, link.receiver), number)) != number:
                 told = f"link {number} is from {link.sender} to {link.receiver}, as link {first}"
-                self.tell("F006", ("links", number), told)
+                self.report("F006", ("links", number), told)
 
     def event(self, data: Any, path: Path) -> Event | None:
         what = f"event {path[-1]}"
@@ -234,22 +245,22 @@ class _Form:
             lasts = self.number(given["for"], (*path, "for"), f"{what}.for (seconds)", 1e-3, MOST_SECONDS)
         if len(kinds) != 1:
             said = f"is {' and '.join(kinds)} at once" if kinds else "says nothing that happens"
-            if isinstance(data, dict) and (kinds or not self._within(path)):
-                self.tell("F005", path, f"{what} {said}", f"an event is one of: {', '.join(KINDS)}")
+            if isinstance(data, dict) and (kinds or not self._has_mistake(path)):
+                self.report("F005", path, f"{what} {said}", f"an event is one of: {', '.join(KINDS)}")
             return None
         kind = kinds[0]
         if kind in LASTING and "for" not in given:
-            self.tell("F003", path, f"{what} lacks 'for': how many seconds the {kind} lasts")
+            self.report("F003", path, f"{what} lacks 'for': how many seconds the {kind} lasts")
         if kind in MOMENTARY and "for" in given:
-            self.tell("F005", (*path, "for"), f"a {kind} takes no time", "leave `for` out", at_key=True)
-        event = self._filled(Event(kind, at or 0.0, lasts), given[kind], (*path, kind), what)
-        return None if event is None or self._within(path) else event
+            self.report("F005", (*path, "for"), f"a {kind} takes no time", "leave `for` out", at_key=True)
+        event = self._with_details(Event(kind, at or 0.0, lasts), given[kind], (*path, kind), what)
+        return None if event is None or self._has_mistake(path) else event
 
-    def _within(self, path: Path) -> bool:
-        """Whether something in there was told already."""
+    def _has_mistake(self, path: Path) -> bool:
+        """Return whether a mistake inside `path` was already reported."""
         return any(mistake.path[: len(path)] == path for mistake in self.mistakes)
 
-    def _filled(self, event: Event, data: Any, path: Path, what: str) -> Event | None:
+    def _with_details(self, event: Event, data: Any, path: Path, what: str) -> Event | None:
         put = msgspec.structs.replace
         match event.kind:
             case "partition":
@@ -291,26 +302,26 @@ class _Form:
                 here = (*path, number, place)
                 name = self.robot(entry, here)
                 if name is not None and name in seen:
-                    self.tell("F006", here, f"{name} is in two groups of {what}")
+                    self.report("F006", here, f"{name} is in two groups of {what}")
                 elif name is not None:
                     seen[name] = number
                     names.append(name)
             found.append(tuple(names))
-        if not self._within(path) and len(found) + (len(seen) < len(self._robots)) < 2:
-            hint = "name two groups at least, such as [[ann, bob], [cem]]; who is in none is alone"
-            self.tell("F005", path, f"{what} parts nobody from anybody", hint)
+        if not self._has_mistake(path) and len(found) + (len(seen) < len(self._robots)) < 2:
+            hint = "name at least two groups, such as [[ann, bob], [cem]]; a robot in no group is alone"
+            self.report("F005", path, f"{what} parts nobody from anybody", hint)
         return tuple(found)
 
     def _pair(self, data: Any, path: Path, what: str) -> tuple[str, str] | None:
-        """Two robots of this fleet."""
+        """Return two different robots of this fleet, or None."""
         if not isinstance(data, list) or len(data) != 2:
-            self.tell("F004", path, f"{path[-1]} of {what} must be two robots, such as [ann, bob]")
+            self.report("F004", path, f"{path[-1]} of {what} must be two robots, such as [ann, bob]")
             return None
         one, other = (self.robot(name, (*path, k)) for k, name in enumerate(data))
         if one is None or other is None:
             return None
         if one == other:
-            self.tell("F005", path, f"{what} names {one} twice")
+            self.report("F005", path, f"{what} names {one} twice")
             return None
         return one, other
 
@@ -318,11 +329,11 @@ class _Form:
         keys = self.table(data, path, f"{what}.obstacle", ("number", "by"), ())
         number, by = keys.get("number", 0), self.vector(keys.get("by", [0, 0, 0]), (*path, "by"), "by (metres)", 1000.0)
         if type(number) is not int or not 0 <= number < MOST_OBSTACLES:
-            self.tell("F005", (*path, "number"), f"number must be that of an obstacle, from 0, not {number!r:.40}")
+            self.report("F005", (*path, "number"), f"number must be that of an obstacle, from 0, not {number!r:.40}")
             return None, None
         return number, by
 
-    def _positioning(self, keys: Mapping[str, Any], path: Path) -> Positioning:
+    def _positioning(self, keys: Mapping[str, Any], path: Path) -> PositioningFault:
         found: dict[str, Any] = {}
         if "bias" in keys:
             found["bias"] = self.vector(keys["bias"], (*path, "bias"), "bias (metres)", 1000.0)
@@ -330,8 +341,8 @@ class _Form:
             if key in keys:
                 found[key] = self.number(keys[key], (*path, key), key, 0.0, most)
         if not found and "robot" in keys:
-            self.tell("F003", path, "positioning says nothing that is wrong", "one of: noise, bias, delay, dropout")
-        return Positioning(**{key: value for key, value in found.items() if value is not None})
+            self.report("F003", path, "positioning says nothing that is wrong", "one of: noise, bias, delay, dropout")
+        return PositioningFault(**{key: value for key, value in found.items() if value is not None})
 
     def _wind(self, data: Any, path: Path) -> Wind:
         keys = self.table(data, path, "wind", (), ("mean", "gust", "correlation"))
@@ -343,8 +354,8 @@ class _Form:
                 found[key] = self.number(keys[key], (*path, key), key, least, most)
         return Wind(**{key: value for key, value in found.items() if value is not None})
 
-    def clashes(self, events: Sequence[Event | None]) -> None:
-        """Two faults of one kind on one robot or one pair at a time; crashes of a robot that is gone."""
+    def check_overlaps(self, events: Sequence[Event | None]) -> None:
+        """Report two faults of one kind at a time on one robot or pair, and crashes of a crashed robot."""
         known = [(number, event) for number, event in enumerate(events) if event is not None]
         known.sort(key=lambda pair: pair[1].at)
         busy: dict[tuple[str, str], tuple[int, Event]] = {}
@@ -354,7 +365,7 @@ class _Form:
                 first = busy.get((what, name))
                 if event.kind not in ENDS and first is not None and event.at < first[1].end:
                     whose = f" of {name}" if name else ""
-                    self.tell(
+                    self.report(
                         "F006", ("events", number, "at"),
                         f"event {number}, {event.kind}{whose} at {event.at:g} s, begins while event {first[0]} "
                         f"({_shown(first[1])}) lasts",
@@ -368,7 +379,7 @@ class _Form:
 
 
 def _subjects(event: Event) -> tuple[str, ...]:
-    """Object that an event acts on. Of one kind of event, only one at a time may act on an object."""
+    """Return the objects that an event acts on. Only one event of a kind at a time may act on an object."""
     match event.kind:
         case "partition" | "wind" | "network":
             return ("",)

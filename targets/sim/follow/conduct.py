@@ -1,4 +1,4 @@
-"""The clock, the agents and the stage of a run that follows a counterexample: lockstep, with bodies that are set."""
+"""Lockstep run that replays a counterexample: bodies and events are set by a plan."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from koordgen.runtime.trace.schema import HEADER
 from koordgen.runtime.vehicle.drivers import Drivers
 from koordgen.runtime.vehicle.platform import Platform
 from targets.sim.base.bodies import BodyState
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.scenario import Robot, Scenario
-from targets.sim.base.upset import Upset
-from targets.sim.follow.guide import FollowedBody, Guide
-from targets.sim.lockstep.resident import Resident, Shared, Told
+from targets.sim.follow.guide import ReplayGuide, ReplayPlatform
+from targets.sim.lockstep.agent import LockstepAgent, Shared, TraceFile
 from targets.sim.lockstep.run import Lockstep
-from targets.sim.lockstep.shares import Shares
-from targets.sim.run.stage import Actor, Stage, Watch
+from targets.sim.lockstep.time_shares import TimeShares
+from targets.sim.run.scene import Actor, SeparationMonitor, SimulationScene
 
-EVERYWHERE = 1e9  # metres
+EVERYWHERE = 1e9  # metres; a geofence of this size never acts
 
 
-class Follow(Lockstep):
-    """Lockstep along a plan."""
+class ReplayLockstep(Lockstep):
+    """Lockstep clock and agents of a run along a plan."""
 
-    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int, guide: Guide) -> None:
+    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int, guide: ReplayGuide) -> None:
         self.guide = guide
         super().__init__(scenario, root, folder, seed)
 
     def check(self, scenario: Scenario) -> None:
-        """Nothing of the targets runs here."""
+        """Accept every scenario: no platform of a target runs here."""
 
-    def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
-        return Follower(robot, folder, shared, self.guide)
+    def resident(self, robot: Robot, folder: Path, shared: Shared) -> LockstepAgent:
+        return ReplayAgent(robot, folder, shared, self.guide)
 
-    def stage(self) -> Stage:
-        self._stage = PlacedStage(self._shared.scenario, self.guide)
-        return self._stage
+    def scene(self) -> SimulationScene:
+        self._scene = PlacedScene(self._shared.scenario, self.guide)
+        return self._scene
 
 
-class Follower(Resident):
-    """An agent whose events, sensors and callable ports are the plan's. All else is its own."""
+class ReplayAgent(LockstepAgent):
+    """Agent whose events, sensors and callable ports come from the plan; all other parts are its own."""
 
-    def __init__(self, robot: Robot, folder: Path, shared: Shared, guide: Guide) -> None:
+    def __init__(self, robot: Robot, folder: Path, shared: Shared, guide: ReplayGuide) -> None:
         self._guide = guide
         super().__init__(robot, folder, shared)
 
     def poll(self, now: float) -> None:
-        """See Resident. An agent is polled at the very beginning of each of its rounds."""
+        """Poll the agent, as LockstepAgent does. It is polled at the very beginning of each of its rounds."""
         super().poll(now)
         self._guide.began(self._round(), now)
 
@@ -63,33 +63,33 @@ class Follower(Resident):
         return self._guide.program(program, self.robot.pid, self._round), properties, {}
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
-        return FollowedBody(self._guide, self.robot.pid, program, self._round)
+        return ReplayPlatform(self._guide, self.robot.pid, program, self._round)
 
     def _overrides(self, actor: Actor) -> dict[str, Any]:
         far = [EVERYWHERE] * 3
         fence = {"lo": [-x for x in far], "hi": far}
         named = json.loads((self._shared.root / self.robot.bundle / "settings.json").read_bytes()).get("monitors", {})
-        monitors = dict.fromkeys([*named, "default"], "log")  # what they find must not end the run
+        monitors = dict.fromkeys([*named, "default"], "log")  # a violation found by its monitors must not end the run
         return {**super()._overrides(actor), "geofence": fence, "avoid": "", "monitors": monitors}
 
-    def _opened(self) -> Told:
-        return Marked(self.trace_file.open("ab"), self._shared.shares, self._guide.plan.kind)
+    def _opened(self) -> TraceFile:
+        return ReplayTraceFile(self.trace_file.open("ab"), self._shared.shares, self._guide.plan.kind)
 
 
-class Marked(Told):
-    """Says in the trace's header what was followed."""
+class ReplayTraceFile(TraceFile):
+    """Trace file whose header names the kind of counterexample that is replayed."""
 
-    def __init__(self, file: IO[bytes], shares: Shares, kind: str) -> None:
+    def __init__(self, file: IO[bytes], shares: TimeShares, kind: str) -> None:
         super().__init__(file, shares)
         self._mark = HEADER + b',"followed":"' + kind.encode() + b'"'
 
     def write(self, line: bytes) -> None:
-        """See Told."""
+        """See TraceFile."""
         super().write(line.replace(HEADER, self._mark, 1) if line.startswith(HEADER) else line)
 
 
-class Unmoved:
-    """A Device, and its body, of a robot that a plan sets."""
+class PlacedDevice:
+    """Device and body of a robot that the plan places."""
 
     overrides: ClassVar[Mapping[str, Any]] = {}
 
@@ -100,25 +100,25 @@ class Unmoved:
         """See Device."""
 
 
-class PlacedStage(Stage):
-    """A stage without physics: bodies are where the plan has them, and touch nothing."""
+class PlacedScene(SimulationScene):
+    """Simulation scene without physics: bodies are where the plan has them, and touch nothing."""
 
-    def __init__(self, scenario: Scenario, guide: Guide) -> None:
-        unmoved: Any = Unmoved()
-        self.actors = [Actor(robot, unmoved, unmoved, (), Upset()) for robot in scenario.robots]
-        self.watch = Watch(0.0)
+    def __init__(self, scenario: Scenario, guide: ReplayGuide) -> None:
+        unmoved: Any = PlacedDevice()
+        self.actors = [Actor(robot, unmoved, unmoved, (), FaultState()) for robot in scenario.robots]
+        self.watch = SeparationMonitor(0.0)
         self.spent = 0.0
         self._guide = guide
 
     def step(self, at: float) -> list[BodyState]:
-        """See Stage."""
+        """See SimulationScene."""
         states = [self._guide.body(pid, at) for pid in range(len(self.actors))]
         self.watch.look(at, [state.position for state in states])
         return states
 
     def standing(self, pid: int) -> bool:
-        """See Stage."""
+        """See SimulationScene."""
         return True
 
     def close(self) -> None:
-        """See Stage."""
+        """See SimulationScene."""

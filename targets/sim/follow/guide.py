@@ -1,5 +1,6 @@
-"""Leads agents through a plan: says what sensors and planners answer, which event is tried, where bodies are; and
-compares what they do with what the trace says."""
+"""Guide of a replayed counterexample: feeds the plan to the agents and compares their rounds with it.
+
+The plan determines what sensors and planners answer, which event each robot tries, and where bodies are."""
 
 from __future__ import annotations
 
@@ -18,29 +19,29 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Robot
-from targets.sim.follow.plan import Plan, Values
+from targets.sim.follow.plan import ReplayPlan, Values
 from targets.sim.follow.plan import Round as Planned
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Outcome, Run
+from targets.sim.run.run_interface import AgentHandle
 
 IDLE = "no event enabled"
-EARLY = 0.01  # of a round: by how much a robot's clock may be ahead of where its round begins
-BEFORE = 1e-5  # seconds that a body is set before the moment at which it must be there
+EARLY = 0.01  # share of a round by which a robot's clock may be ahead of the start of its round
+BEFORE = 1e-5  # seconds by which a body is set before the time at which it must be there
 HELD, VIOLATED, DIFFERS = 0, 3, 70
 _encode = msgspec.json.Encoder(enc_hook=repr).encode
 
 
-class Guide:
-    """A `crew.Companion`. `measured` are the sensors that tell where bodies are."""
+class ReplayGuide:
+    """Companion of a run that replays a plan. `measured` names the sensors that measure bodies."""
 
-    def __init__(self, plan: Plan, robots: tuple[Robot, ...], delta: float, measured: tuple[str, ...]) -> None:
+    def __init__(self, plan: ReplayPlan, robots: tuple[Robot, ...], delta: float, measured: tuple[str, ...]) -> None:
         self.plan, self.delta = plan, delta
         self._robots, self._measured = robots, measured
-        self._zero: float | None = None  # when round 1 began
-        self._differences: list[tuple[int, int, str]] = []  # round, pid, what is different
-        self._seen = [0] * len(robots)  # by pid the last round that was told of
-        self._discarded = False  # the event that has no result had none
+        self._zero: float | None = None  # time at which round 1 began
+        self._differences: list[tuple[int, int, str]] = []  # (round, pid, difference)
+        self._seen = [0] * len(robots)  # by pid: the last round that the robot recorded
+        self._discarded = False  # true once the event without a result was discarded
 
     def launched(self, run: Run) -> None:
         self._run = run
@@ -50,11 +51,11 @@ class Guide:
     def step(self, at: float, states: list[BodyState]) -> None:
         """See Companion."""
 
-    def heard(self, agent: Agent, records: list[Any]) -> None:
+    def heard(self, agent: AgentHandle, records: list[Any]) -> None:
         """See Companion."""
 
     def end(self, at: float) -> None:
-        """Which of the agents' rounds is what of the trace."""
+        """Mark in the trace which round of the counterexample each round of the agents replays."""
         for number, each in enumerate(self.plan.rounds):
             if each.events:
                 names = tuple(self._robots[pid].name for pid in each.events)
@@ -64,7 +65,7 @@ class Guide:
                 self._run.mark(Cause(begins, "follow", names, detail))
 
     def began(self, round_: int, at: float) -> None:
-        """A robot's round has begun, at that time of the run's clock."""
+        """Note that a round of a robot has begun, at a time of the run's clock."""
         if self._zero is None and round_:
             self._zero = at - (round_ - 1) * self.delta
 
@@ -72,17 +73,19 @@ class Guide:
         return f"the trace's round {each.of}, line {each.line}"
 
     def _index(self, now: float, early: float) -> int:
-        """Of the round at a time, from 0, at most of the last."""
+        """Return the index (from 0) of the round at a time; the last round does not end."""
         if self._zero is None:
             return 0
         return max(0, min(math.floor((now - self._zero + early) / self.delta), len(self.plan.rounds) - 1))
 
     def ports(self, pid: int, now: float) -> Values:
-        """What a robot's ports are at a time, in JSON."""
+        """Return the values of a robot's ports at a time, in JSON."""
         return self.plan.rounds[self._index(now, EARLY * self.delta)].state.ports[pid]
 
     def body(self, pid: int, at: float) -> BodyState:
-        """Where a body is at a step of the world: from the last step of a round on where the next round has it."""
+        """Return the state of a body at a step of the world.
+
+        From the last step of a round on, the body is where the next round has it."""
         ports = self.plan.rounds[self._index(at, STEP + BEFORE)].state.ports[pid]
         start = self._robots[pid].start
         position, velocity, yaw = start.position, (0.0, 0.0, 0.0), start.yaw
@@ -98,7 +101,7 @@ class Guide:
         return BodyState(position, velocity, yaw, 0.0)
 
     def program(self, program: Program, pid: int, round_: Callable[[], int]) -> Program:
-        """The robot's program, which tries the event of the plan or none. `round_` tells the present round."""
+        """Return the robot's program, restricted to the plan's event. `round_` returns the present round."""
         events = tuple([replace(event, guard=self._forced(event, pid, round_)) for event in program.events])
         init = program.init if self.plan.initial else self._given(program, pid)
         return replace(program, events=events, init=init)
@@ -114,7 +117,7 @@ class Guide:
         return guard
 
     def _given(self, program: Program, pid: int) -> Callable[[Any], None]:
-        """Instead of `init`: writes the first round's state."""
+        """Return a replacement of `init` that writes the first round's state."""
         state = self.plan.rounds[0].state
         values = {**state.locals[pid], **state.shared, **state.ports[pid]}
         slots = {v.name for v in program.shared if v.kind == "allread"}
@@ -135,15 +138,15 @@ class Guide:
         return init
 
     def answer(self, pid: int, round_: int, port: str, args: tuple[Any, ...]) -> Any:
-        """What a callable port says, in JSON. Raises LookupError."""
+        """Return the answer of a callable port, in JSON. Raises LookupError if the plan has none."""
         calls = self.plan.calls if round_ < 1 else self.plan.rounds[min(round_, len(self.plan.rounds)) - 1].calls
         for name, asked, said in calls.get(pid, ()):
             if name == port and asked == _plain(args):
                 return said
-        raise LookupError(f"{port} was not asked that in the trace")
+        raise LookupError(f"{port} was not called with these arguments in the trace")
 
     def observe(self, pid: int, record: Record) -> None:
-        """A robot's round, as the agent itself tells it."""
+        """Compare a round, as the agent's own record has it, with the plan."""
         self._seen[pid] = max(self._seen[pid], record.round)
         if record.round > len(self.plan.rounds):
             return
@@ -173,11 +176,11 @@ class Guide:
         if each.free and record.event is not None:
             return f"{record.event} is enabled; in the trace no event is"
         if not each.free and record.event != wanted:
-            return f"the trace says {wanted}, the agent's guard is false"
+            return f"the trace executes {wanted}, but its guard is false in the agent"
         return ""
 
     def result(self, outcome: Outcome) -> tuple[int, str]:
-        """The exit status of a run that came to its end, and what to say."""
+        """Return exit status and message of a run that came to its end."""
         plan, ending = self.plan, self.plan.ending
         if ending is not None and ending.event == "init" and not outcome.started:
             self._discarded = "(in init)" in self._run.conduct.agents[ending.pid].last_error
@@ -185,7 +188,7 @@ class Guide:
         late = [pid for pid, seen in enumerate(self._seen) if seen < len(plan.rounds)]
         if not self._differences and late:
             pid = late[0]
-            self._differences.append((self._seen[pid] + 1, pid, "it did not come to this round"))
+            self._differences.append((self._seen[pid] + 1, pid, "the agent did not reach this round"))
         if self._differences:
             number, pid, why = min(self._differences)
             each = plan.rounds[number - 1]
@@ -197,29 +200,29 @@ class Guide:
         plan, ending = self.plan, self.plan.ending
         rounds = sum(1 for each in plan.rounds[:-1])
         cut = f"; {plan.trace}:{plan.cut}: the trace is cut off here" if plan.cut else ""
-        ways = f"{plan.trace}: followed in {rounds} round{'s' * (rounds != 1)} of the agents, which did the same"
+        ways = f"{plan.trace}: replayed in {rounds} round{'s' * (rounds != 1)} of the agents, with the same results"
         if ending is None:
-            return HELD, ways + (cut or "; it tells of no violation")
+            return HELD, ways + (cut or "; it has no violation")
         if shown:
             return VIOLATED, f"{ways}; {shown}"
-        return DIFFERS, f"{plan.trace}: the trace says {ending.name}: {ending.detail}; {self._missed(outcome)}"
+        return DIFFERS, f"{plan.trace}: the trace ends with {ending.name}: {ending.detail}; {self._missed(outcome)}"
 
     def _shown(self, outcome: Outcome) -> str:
-        """How the run shows what the trace says is violated; empty where it does not."""
+        """Return how the run confirms the trace's violation; "" if it does not."""
         ending = self.plan.ending
         if ending is None:
             return ""
         if ending.event:
             name = self._robots[ending.pid].name
-            return f"{ending.event} of {name} has no result, as the trace says" if self._discarded else ""
+            return f"{ending.event} of {name} has no result, as in the trace" if self._discarded else ""
         if ending.name == "(deadlock)":
-            return "no event is enabled any more, as the trace says"
+            return "no event is enabled any more, as in the trace"
         found = self._violation(outcome)
         due = (self.plan.found - (not self.plan.environment)) * self.delta
         early = -math.inf if not self.plan.found else -2 * STEP - BEFORE  # robots run `init` before round 1
         if found is None or not early <= found.t - max(0.0, due) <= STEP:
             return ""
-        return f"{ending.name} is violated after the same round, as the trace says"
+        return f"{ending.name} is violated after the same round as in the trace"
 
     def _violation(self, outcome: Outcome) -> Violation | None:
         name = self.plan.ending.name if self.plan.ending else ""
@@ -227,16 +230,15 @@ class Guide:
 
     def _missed(self, outcome: Outcome) -> str:
         found = self._violation(outcome)
-        return f"in the run that is so at {found.t:.3f} s" if found else "in the run that is not so"
+        return f"the run violates it at {found.t:.3f} s" if found else "the run does not violate it"
 
 
-class FollowedBody:
-    """A koordgen.runtime.vehicle.platform.Platform whose sensors and callable ports say what the plan does. `round_`
-    tells the agent's round."""
+class ReplayPlatform:
+    """Platform whose sensors and callable ports answer from the plan. `round_` returns the agent's round."""
 
     period = 0.05
 
-    def __init__(self, guide: Guide, pid: int, program: Program, round_: Callable[[], int]) -> None:
+    def __init__(self, guide: ReplayGuide, pid: int, program: Program, round_: Callable[[], int]) -> None:
         self._guide, self._pid, self._round = guide, pid, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}
@@ -267,7 +269,7 @@ class FollowedBody:
         """See Platform."""
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Platform: the body is where the trace says, whatever is commanded."""
+        """Ignore commands: the body is where the trace has it. See Platform."""
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
@@ -284,5 +286,5 @@ class FollowedBody:
 
 
 def _plain(value: Any) -> Any:
-    """A value as traces have it."""
+    """Return a value in the JSON form of traces."""
     return json.loads(_encode(value))

@@ -1,4 +1,4 @@
-"""What a run that follows a counterexample is to do, as koordgen/verify/follow/plan.py writes it."""
+"""Plan of a run that replays a counterexample, as koordgen/verify/follow/plan.py writes it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ Values = dict[str, Any]  # by name, in JSON
 Calls = dict[int, list[tuple[str, list[Any], Any]]]  # by pid: port, arguments, answer
 
 
-class State(msgspec.Struct, frozen=True):
-    """A fleet at a round's start: of each robot locals, ports ("Module.port") and whether it has stopped; the shared
-    store, of an allread variable by pid."""
+class FleetState(msgspec.Struct, frozen=True):
+    """State of a fleet at a round's start.
+
+    By robot: locals, ports ("Module.port"), and whether it has stopped. `shared`: the shared store; an allread variable
+    has its values by pid."""
 
     locals: list[Values]
     ports: list[Values]
@@ -25,19 +27,20 @@ class State(msgspec.Struct, frozen=True):
 
 
 class Round(msgspec.Struct, frozen=True):
-    """A round of the agents, part of the trace's round `of`; `line` is where that says so. `events` by pid: who has
-    none skips. `free`: each does what it wants."""
+    """A round of the agents, which is part of the trace's round `of`; `line` is its line in the trace.
+
+    `events` by pid; a robot without one skips the round. `free`: each robot may execute any enabled event."""
 
     of: int
     line: int
     events: dict[int, str]
     free: bool
-    state: State
+    state: FleetState
     calls: Calls = {}
 
 
 class Ending(msgspec.Struct, frozen=True):
-    """What the trace says is violated. `event` of robot `pid` has no result, where there is one."""
+    """Violation at the trace's end. If `event` is set, the event of robot `pid` has no result."""
 
     name: str
     line: str
@@ -46,10 +49,12 @@ class Ending(msgspec.Struct, frozen=True):
     event: str = ""
 
 
-class Plan(msgspec.Struct, frozen=True):
-    """`initial`: robots begin with their `init`, not in the first round's state. The ending must be found after the
-    events of round `found` (0: after init), with `environment` after the environment's step behind it. `cut`: from
-    which line on the trace cannot be read, or 0. `calls` are those of init."""
+class ReplayPlan(msgspec.Struct, frozen=True):
+    """Plan of a replayed counterexample.
+
+    `initial`: robots begin with their `init` instead of the first round's state. The ending must be found after the
+    events of round `found` (0: after init); with `environment`, after the environment's step that follows. `cut`: first
+    line of the trace that cannot be read, or 0. `calls`: calls of init."""
 
     trace: str
     program_hash: str
@@ -63,17 +68,19 @@ class Plan(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> str:
-        """As traces of such a run say it."""
+        """Name of the plan's kind in traces of such a run."""
         return "run" if self.initial else "step"
 
 
-def load(path: Path, program_hash: str, n_sys: int) -> Plan:
-    """Raises BadScenario."""
+def load(path: Path, program_hash: str, n_sys: int) -> ReplayPlan:
+    """Read a plan and check that it fits the program and the number of robots. Raises BadScenario."""
     try:
-        plan = msgspec.convert(json.loads(path.read_text(encoding="utf-8")), Plan, strict=False)
+        plan = msgspec.convert(json.loads(path.read_text(encoding="utf-8")), ReplayPlan, strict=False)
     except (OSError, ValueError, RecursionError, msgspec.ValidationError) as error:
         told = getattr(error, "strerror", None) or error
-        raise BadScenario(f"{path}: {told}", "`koordgen sim --follow TRACE` makes such a file") from None
+        raise BadScenario(f"{path}: {told}", "create the file with `koordgen sim --follow TRACE`") from None
     if plan.program_hash != program_hash or any(len(each.state.stopped) != n_sys for each in plan.rounds):
-        raise BadScenario(f"{path}: it is for another program or fleet", "`koordgen sim --follow TRACE` makes it anew")
+        raise BadScenario(
+            f"{path}: the plan is for another program or fleet", "create it again with `koordgen sim --follow TRACE`"
+        )
     return plan

@@ -1,8 +1,8 @@
-"""Many moments of a fleet as arrays: what `surely` of a property is asked of (see runtime/program/property.py).
+"""Screening of properties: many observations of a fleet as arrays (see runtime/program/property.py).
 
-A number or truth value is an array over (moments, first robot, second robot, ...), of length 1 where it does not depend
-on them; a Point has its coordinates in front of that. Comparisons leave MARGIN, relative, for what arrays round.
-"""
+A number or truth value is an array over (observations, first robot, second robot, ...), of length 1 where it does not
+depend on them. A Point has its coordinates as first axis. Comparisons leave a relative MARGIN for rounding, so a
+screened property surely holds."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from koordgen.runtime.program.property import UNKNOWN
 from koordgen.runtime.values.points import Point
 
 MARGIN = 1e-9
-MOST_AXES = 3  # of robots
+MOST_AXES = 3  # axes of robots
 Array = NDArray[Any]
 
 
 class Batch:
-    """`measured` has an array (moments, robots, 3) for each port that the world knows; `values` are of the whole round,
-    by name as Truth has them."""
+    """Observations of one round, as arrays.
+
+    `measured`: an array (observations, robots, 3) for each port that the simulator measures. `values`: values of the
+    whole round, by name as in Truth."""
 
     def __init__(self, moments: int, n_sys: int, measured: Mapping[str, Array], values: Mapping[str, Any]) -> None:
         self.moments, self.n_sys = moments, n_sys
@@ -30,7 +32,9 @@ class Batch:
         self._found: dict[tuple[str, int], Array] = {}
 
     def each(self, name: str, axis: int) -> Array:
-        """A variable or port of each robot, along an axis. Raises ValueError, TypeError where one is not known."""
+        """Return a variable or port of each robot, along an axis.
+
+        Raises ValueError or TypeError if one is unknown."""
         found = self._found.get((name, axis))
         if found is None:
             found = self._found[name, axis] = self._each(name, axis)
@@ -42,20 +46,20 @@ class Batch:
         return self._along(_array(self._values[name]), axis)
 
     def _along(self, values: Array, axis: int) -> Array:
-        """(..., moments, robots) -> the same with the robots on their axis."""
+        """Reshape (..., observations, robots) so that robots have their own axis."""
         shape = [1] * MOST_AXES
         shape[axis] = self.n_sys
         return values.reshape(*values.shape[:-1], *shape)
 
     def one(self, name: str) -> Array:
-        """An allwrite variable."""
+        """Return an allwrite variable."""
         return self._along(np.repeat(_array([self._values[name]]), self.n_sys, axis=-1), 0)
 
     def robot(self, axis: int) -> Array:
         return self._along(np.arange(self.n_sys)[None], axis)
 
     def point(self, *of: Any) -> Array:
-        """A Point, or one of its coordinates."""
+        """Return a Point as an array, or one of its coordinates."""
         if len(of) == 1:
             return np.array([of[0].x, of[0].y, of[0].z]).reshape(3, 1, *[1] * MOST_AXES)
         return np.stack(np.broadcast_arrays(*[np.asarray(c, dtype=float) for c in of]))
@@ -66,7 +70,7 @@ class Batch:
         return found
 
     def over(self, a: Any, b: Any) -> Array:
-        """a > b."""
+        """Return a > b, with a margin."""
         found: Array = a - b > MARGIN * (1 + np.abs(a) + np.abs(b))
         return found
 
@@ -106,7 +110,9 @@ class Batch:
         return np.asarray(a).reshape(np.shape(a) or (1,) * (1 + MOST_AXES))
 
     def unsure_of(self, surely: Callable[[Any], Any]) -> list[tuple[int, int]]:
-        """The same of each robot, those along the first axis: moments and pids."""
+        """Return (observation, pid) of all pairs that a screening does not decide.
+
+        Robots are on the first axis."""
         try:
             found = np.broadcast_to(surely(self), (self.moments, self.n_sys, *[1] * (MOST_AXES - 1)))
         except (ValueError, TypeError, LookupError, AttributeError):
@@ -114,7 +120,7 @@ class Batch:
         return [(int(k), int(pid)) for k, pid, *_ in np.argwhere(~found)]
 
     def unsure(self, surely: Callable[[Any], Any]) -> list[int]:
-        """The moments at which a condition is not surely so; all of them where something is not known."""
+        """Return the observations that a screening does not decide; all of them if a value is unknown."""
         try:
             found = np.broadcast_to(np.asarray(surely(self)).reshape(-1), (self.moments,))
         except (ValueError, TypeError, LookupError, AttributeError):
@@ -123,7 +129,9 @@ class Batch:
 
 
 def _array(values: Sequence[Any]) -> Array:
-    """(1, robots), or with coordinates in front. Raises ValueError where one is not known."""
+    """Return an array (1, robots), with coordinates in front for points.
+
+    Raises ValueError if a value is unknown."""
     if UNKNOWN in values:
         raise ValueError
     if isinstance(values[0], Point):

@@ -1,10 +1,9 @@
-"""Host load: how long each process of a real-time run waited for a processor core, and which violations that explains.
+"""Host load: how long processes of a real-time run waited for a core, and violations due to it.
 
-Linux counts, for each thread, the time in which it could run but had no core (`/proc/PID/schedstat`, second field, ns;
-of a process here: its main thread, which runs the agent, or the simulator's world). It adds a wait when the wait ends.
-It does not count what a hypervisor takes from the whole machine. Where the file is missing nothing is measured, and
-nothing is explained.
-"""
+Linux counts, for each thread, the time in which it could run but had no core (`/proc/PID/schedstat`, second field, ns).
+Here: of a process's main thread, which runs the agent or the simulator's world. The kernel adds a wait when the wait
+ends. It does not count the time that a hypervisor takes from the whole machine. If the file is missing, nothing is
+measured and no violation is explained."""
 
 from __future__ import annotations
 
@@ -20,22 +19,22 @@ from koordgen.runtime.agent.rounds import PUBLISH
 from koordgen.runtime.program.runner import LATE
 from koordgen.runtime.trace.schema import Mark, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
 
 SIMULATOR = "the simulator"
-SHARE = 0.5  # of the time that an event has: one that had no core for longer was late by the host
-STARVED = 0.5  # seconds at a stretch without a core, after which bodies do what no agent wants
-AFTER = 1.0  # seconds for which that explains what bodies do
-KEPT = 5.0  # seconds of samples: a round is recorded some rounds after it happened
-SAMPLES = 4  # in a round
+SHARE = 0.5  # share of an event's time; an event that had no core for longer was late because of the host
+STARVED = 0.5  # seconds without a core after which bodies may leave their intended motion
+AFTER = 1.0  # seconds for which such a gap explains the motion of bodies
+KEPT = 5.0  # seconds of samples kept: a round is recorded some rounds after it happened
+SAMPLES = 4  # per round
 LEAST_PERIOD, MOST_PERIOD = 0.005, 0.05  # seconds between two samples
 
 
 def waited(process: int) -> float | None:
-    """Return the seconds for which the main thread of a process has waited for a core; None where that is unknown."""
+    """Return the seconds for which a process's main thread has waited for a core; None if unknown."""
     try:
         with open(f"/proc/{process}/schedstat", "rb", buffering=0) as file:
             return int(file.read(64).split()[1]) / 1e9
@@ -44,22 +43,22 @@ def waited(process: int) -> float | None:
 
 
 class _Process:
-    """The samples of one process: when (s, of the run's clock), and how long it had waited until then, in all."""
+    """Samples of one process: time (s, of the run's clock) and total wait until then (s)."""
 
     def __init__(self) -> None:
-        self.total = 0.0  # over all lives of a robot's agent
-        self.starved: list[tuple[float, float]] = []  # since when, until when
+        self.total = 0.0  # over all starts of a robot's agent
+        self.starved: list[tuple[float, float]] = []  # (start, end) of long gaps
         self._samples: deque[tuple[float, float]] = deque()
         self._life: tuple[int, float] = (-1, 0.0)  # process id, and its counter at the last sample
 
     def sample(self, at: float, process: int, counter: float) -> None:
-        """Take in what the process's counter says now. A restarted agent's counter begins anew."""
+        """Add a sample of the process's counter. The counter of a restarted agent begins at 0."""
         known, last = self._life
         before = last if known == process else counter if known < 0 else 0.0
         wait = max(0.0, counter - before)
         self.total += wait
         self._life = (process, counter)
-        # Waits that began since the last sample are no longer than the time since then.
+        # A wait that began after the last sample is no longer than the time since then.
         if self._samples and wait - (at - self._samples[-1][0]) >= STARVED:
             self.starved.append((at - wait, at))
         self._samples.append((at, self.total))
@@ -67,12 +66,12 @@ class _Process:
             self._samples.popleft()
 
     def between(self, since: float, until: float) -> float:
-        """Seconds of waiting between two times, as far as samples tell: at most so many."""
+        """Return the seconds of waiting between two times, as far as samples show; at most `until - since`."""
         samples = self._samples
         first = max(0, bisect_right(samples, since, key=_time) - 1)
         last = max(first, bisect_right(samples, until, key=_time) - 1)
         lost = samples[last][1] - samples[first][1]
-        for k in range(last + 1, len(samples)):  # a wait that goes on at `until` shows when it has ended
+        for k in range(last + 1, len(samples)):  # a wait that goes on at `until` is counted when it ends
             if (wait := samples[k][1] - samples[k - 1][1]) > 0:
                 return min(until - since, lost + max(0.0, wait - max(0.0, samples[k - 1][0] - until)))
         return min(until - since, lost)
@@ -83,8 +82,9 @@ def _time(sample: tuple[float, float]) -> float:
 
 
 class HostLoad:
-    """A companion of a run in real time. `moving` are the lines ("app.koord:12") of the properties that read where
-    bodies are: no other depends on the host."""
+    """Companion of a real-time run that measures host load.
+
+    `moving`: lines ("app.koord:12") of the properties that read positions of bodies. Only those depend on the host."""
 
     def __init__(self, delta: float, moving: Collection[str]) -> None:
         self._delta, self._moving = delta, moving
@@ -93,7 +93,7 @@ class HostLoad:
         self._found: dict[str, _Process] = {}
         self._late: dict[str, str] = {}  # robot -> why the host caused its first late event
         self._slow: set[str] = set()  # robots with a late event that the host did not cause
-        self._marked: set[str] = set()  # robots with another fault behind their first late event
+        self._marked: set[str] = set()  # robots whose fault after the first late event was marked
 
     def launched(self, run: Run) -> None:
         self._run = run
@@ -112,13 +112,13 @@ class HostLoad:
             if process is not None and counter is not None:
                 self._found.setdefault(name, _Process()).sample(now, process, counter)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         name = agent.robot.name
         for record in records:
             if not isinstance(record, Round) or record.fault is None:
                 continue
             if record.fault.reason != LATE:
-                if name in self._late and name not in self._marked:  # the run reports only the first fault of a robot
+                if name in self._late and name not in self._marked:  # the run itself reports only a robot's first fault
                     self._marked.add(name)
                     self._run.mark(Violation(record.time, "fault", (name,), str(record.fault)))
             elif why := self._why_late(name, record):
@@ -127,7 +127,7 @@ class HostLoad:
                 self._slow.add(name)
 
     def _why_late(self, name: str, record: Round) -> str:
-        """Why the host caused an event to miss its deadline; "" when the agent had a core for most of the time."""
+        """Return why the host made an event late; "" if the agent had a core for most of the time."""
         self.sample(self._run.conduct.now())
         found, tick = self._found.get(name), record.time - record.late
         available = PUBLISH * self._delta
@@ -146,7 +146,9 @@ class HostLoad:
         return {name: round(found.total, 3) for name, found in self._found.items()}
 
     def explained(self, marks: Sequence[Mark], zero: float) -> list[Mark]:
-        """Return the marks, with `host` set in each violation that the host caused; `zero` is the time of t = 0."""
+        """Return the marks, with `host` set in each violation that the host caused.
+
+        `zero` is the time of t = 0."""
         return [
             msgspec.structs.replace(mark, host=self._why(mark, zero)) if isinstance(mark, Violation) else mark
             for mark in marks
@@ -164,7 +166,9 @@ class HostLoad:
         return ""
 
     def _starved(self, robots: tuple[str, ...], at: float) -> str:
-        """Why a violation at a time of the run's clock is the host's; "" when no process concerned was starved."""
+        """Return why the host caused a violation at a time of the run's clock.
+
+        "" if no process concerned was starved."""
         for name in (*robots, SIMULATOR):
             process = self._found.get(name)
             waits = [] if process is None else process.starved

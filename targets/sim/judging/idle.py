@@ -1,10 +1,8 @@
-"""Ends a run in which nothing goes on any more although the robots have not stopped: tasks that nobody can do are told,
-not waited for.
+"""Idle detection: ends a run in which no robot makes progress although the robots have not stopped.
 
-Nothing goes on while no robot gets anywhere or is sent anywhere, puts anything out, stops, or has another value in a
-variable than before. Numbers count as other ones, and places as elsewhere, from SAME on: what robots write of where
-they are is never the same.
-"""
+Tasks that no robot can do are so reported instead of waited for. There is progress when a robot moves, writes an
+actuator, streams a value, stops, or changes the value of a variable. Numbers and positions count as changed from SAME
+on: measured positions vary a little all the time."""
 
 from __future__ import annotations
 
@@ -15,23 +13,23 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Init, Round, Stream, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Run
+from targets.sim.run.run_interface import AgentHandle
 
 SAME = 0.2
 IDLE_TIMEOUT = 60.0  # seconds
-EVERY = 24  # steps between two looks at where robots are
+EVERY = 24  # steps between two checks of positions
 
 
 class Idle:
-    """A `crew.Companion`. `timeout` in seconds; 0: it waits for ever."""
+    """Companion that ends an idle run. `timeout` in seconds; 0: never."""
 
     def __init__(self, names: tuple[str, ...], timeout: float) -> None:
         self._names, self._timeout = names, timeout
-        self._since = math.inf  # when something was last seen to go on
+        self._since = math.inf  # time of the last progress
         self._places: list[Vector] = []
         self._values: dict[tuple[int, str], Any] = {}
-        self._last: dict[int, str] = {}  # what each robot did in its last round
+        self._last: dict[int, str] = {}  # pid -> its event or skip in the last round
         self._stopped: set[int] = set()
         self._steps = 0
 
@@ -52,7 +50,7 @@ class Idle:
         if self._timeout and at - self._since >= self._timeout and self._left():
             self._report(at)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         if not self._timeout:
             return
         for record in records:
@@ -69,7 +67,7 @@ class Idle:
         pass
 
     def _left(self) -> list[int]:
-        """Robots that go on and have not stopped."""
+        """Return the pids of robots that run and have not stopped."""
         agents = self._run.conduct.agents
         return [a.robot.pid for a in agents if a.alive and a.resting is None and a.robot.pid not in self._stopped]
 
@@ -91,13 +89,13 @@ class Idle:
         self._timeout = 0.0  # once
         robots = tuple(self._names[pid] for pid in self._left())
         doing = "; ".join(f"{self._names[pid]}: {self._last.get(pid, 'no round')}" for pid in self._left())
-        detail = f"nothing has gone on for {at - self._since:.0f} s, and the program has not stopped ({doing})"
+        detail = f"no robot made progress for {at - self._since:.0f} s, and the program has not stopped ({doing})"
         self._run.mark(Violation(self._since, "idle", robots, detail))
         self._run.finish("idle")
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two values in JSON are the same but for small changes of numbers that are no ints."""
+    """Return whether two JSON values are equal up to small changes of numbers that are not ints."""
     match a, b:
         case bool(), bool():
             return a == b

@@ -1,4 +1,4 @@
-"""What a run has shown of one property: its first violation, its verdict."""
+"""Judgement of one property: its first violation and its verdict."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ Of = Literal["invariant", "initially", "assume"]
 
 
 @dataclass(slots=True)
-class Watched:
-    """One property and what was seen of it. `at` is when it was first violated or had no value, `left` when it could
-    first not be told because a robot was out of the model; times of the run's clock."""
+class JudgedProperty:
+    """One property and its result so far.
+
+    `at`: time of its first violation or missing value. `left`: time when it became unknown because a robot left the
+    model. Times are of the run's clock."""
 
     of: Of
     name: str
     line: str
     what: Property | Assumption
-    moving: bool  # reads where bodies are, and so changes between rounds
+    moving: bool  # reads positions of bodies, and so changes between rounds
     found: Properties
     n: int
     outcome: Literal["violated", "no value"] | None = None
@@ -30,8 +32,8 @@ class Watched:
     left: float | None = None
     robots: tuple[str, ...] = ()
     detail: str = ""
-    moments: int = 0  # at which it had a value
-    unknown: int = 0  # at which it was not known
+    moments: int = 0  # observations at which it had a value
+    unknown: int = 0  # observations at which it was unknown
 
     @property
     def decided(self) -> bool:
@@ -44,8 +46,10 @@ class Watched:
     def note(
         self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], gone: bool
     ) -> Violation | None:
-        """What a moment has shown; `gone`: somebody was out of the model. What did not hold is told, the first time,
-        with the robots that made it false and what was read of them."""
+        """Record the outcome of an observation. Return a violation the first time the property does not hold.
+
+        `gone`: a robot was out of the model. The violation names the robots that made the property false, and the
+        values read."""
         if outcome == "unknown":
             self.unknown += 1
             self.detail = self.detail or why
@@ -70,7 +74,9 @@ class Watched:
         return Violation(at, "property", self.robots, text, self.name, self.line)
 
     def verdict(self, at: float, zero: float | None, gone: str) -> Verdict:
-        """At the mission's end; `zero` is when round 1 began, `gone` names those that have left the model."""
+        """Return the verdict at the mission's end.
+
+        `zero`: time when round 1 began. `gone`: names of robots that have left the model."""
         word: Found
         since: float | None = None
         if self.outcome is not None:
@@ -79,23 +85,26 @@ class Watched:
             word, since = "out of model", self.left
             detail = f"{gone or 'a robot'} had left the model; until then it held"
         elif not self.moments:
-            word, detail = "unchecked", f"not known: {self.detail}" if self.unknown else "there was no moment for it"
+            word, detail = "unchecked", f"not known: {self.detail}" if self.unknown else "it was never observed"
         else:
-            word, detail = "held", f"at {self.unknown} more moments not known: {self.detail}" if self.unknown else ""
+            word, detail = (
+                "held",
+                f"at {self.unknown} more observations not known: {self.detail}" if self.unknown else "",
+            )
         since = None if since is None or zero is None else round(since - zero, 6)
         return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.moments)
 
 
-def all_of(found: Properties, n: int) -> list[Watched]:
-    """All properties and assumptions that can be evaluated, for a fleet of so many robots."""
+def all_of(found: Properties, n: int) -> list[JudgedProperty]:
+    """Return all properties and assumptions that can be evaluated, for a fleet of `n` robots."""
     source = found.program.source
     measured = {*found.measured, *(f"{name}'" for name in found.measured)}
     properties = [
-        Watched(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
+        JudgedProperty(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
         for p in found.properties
     ]
     assumptions = [
-        Watched("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
+        JudgedProperty("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
         for a in found.assumptions
     ]
     return [*properties, *assumptions]

@@ -1,4 +1,4 @@
-"""The summary of a run: figures per robot and for the whole fleet, computed from its trace, as JSON and as text."""
+"""Summary of a run: figures per robot and for the fleet, computed from its trace, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from koordgen.runtime.trace.schema import Verdict as Found
 from targets.sim.base.bodies import Vector
 from targets.sim.run.run import Outcome
 from targets.sim.trace.files import was_late
-from targets.sim.trace.noticed import Monitored, Noticed
-from targets.sim.trace.noticed import as_text as noticed_text
+from targets.sim.trace.monitor_reports import Monitored, MonitorSummary
+from targets.sim.trace.monitor_reports import as_text as noticed_text
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
 
-LEFT_OPEN = "; not judged to the end: "  # in the reason of a run that held, before its properties
-MOST_WARNINGS = 50  # different ones of a robot
+LEFT_OPEN = "; not judged to the end: "  # separates a run's reason from properties that were not fully judged
+MOST_WARNINGS = 50  # distinct warnings kept per robot
 AGAIN = "run it again with --lockstep, or when the host has less to do"
 
 
 class Stalled(msgspec.Struct):
-    """A time in which a robot had no way to what was commanded: `since` (s), how long (s), whether it was over when the
-    mission ended, and the last reason."""
+    """Period in which a robot had no path to its target.
+
+    `since` and `seconds` (s); `over`: it ended before the mission did; `why`: the last reason."""
 
     since: float
     seconds: float
@@ -38,8 +39,9 @@ class Stalled(msgspec.Struct):
 
 
 class Warned(msgspec.Struct):
-    """A warning of a robot's agent, such as a command clamped at the geofence or a set-point refused: when first (s),
-    in which words then, and how often. The numbers in the words may differ."""
+    """Warning of a robot's agent, such as a command clamped at the geofence or a setpoint refused.
+
+    `since`: first time (s); `text`: its text then. Warnings that differ only in numbers are counted together."""
 
     since: float
     text: str
@@ -48,8 +50,10 @@ class Warned(msgspec.Struct):
 
 
 class RobotSummary(msgspec.Struct):
-    """One robot. Positions (m, local ENU) are the truth: `start` at the beginning of the run, `final` at the mission's
-    end, `rest` after landing or braking. `path_length`, rounds and what they brought are from round 1 to that end."""
+    """Figures of one robot. Positions (m, local ENU) are the truth.
+
+    `start`: at the beginning of the run. `final`: at the mission's end. `rest`: after landing or braking.
+    `path_length`, rounds, events, skips and faults: from round 1 to the mission's end."""
 
     name: str
     pid: int
@@ -72,7 +76,9 @@ class RobotSummary(msgspec.Struct):
 
 
 class Separation(msgspec.Struct):
-    """Of all pairs over the whole run, at every physics step (240 Hz), in space, between reference points."""
+    """Smallest distance of two robots over the whole run.
+
+    Checked at every physics step (240 Hz), in space, between reference points."""
 
     distance: float
     time: float
@@ -89,7 +95,7 @@ class Summary(msgspec.Struct):
     why: str
     violations: list[Violation]
     properties: list[Found]
-    causes: list[Cause]  # faults that were brought about on purpose
+    causes: list[Cause]  # faults that were injected
     robots: list[RobotSummary]
     min_separation: Separation | None
     min_separation_asked: float
@@ -98,15 +104,15 @@ class Summary(msgspec.Struct):
     late_steps: int
     steps: int
     late_in_mission: int = 0  # of the late steps
-    noticed: list[Noticed] = []  # by the robots' own monitors
-    watching: float = 0.0  # share of the run's time that watching its properties took
-    shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
+    noticed: list[MonitorSummary] = []  # violations reported by the robots' own monitors
+    watching: float = 0.0  # share of the run's time that judging its properties took
+    shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
-    reproduce: dict[str, str] = {}  # what one needs to do it again
+    reproduce: dict[str, str] = {}  # command and versions that repeat the run
 
 
 def summarise(header: Header, records: Iterable[TraceRecord], outcome: Outcome) -> Summary:
-    """Read a merged trace through once."""
+    """Summarise a merged trace in one pass."""
     tallies = {
         robot.pid: _Tally(RobotSummary(robot.name, robot.pid, robot.target), header.delta) for robot in header.robots
     }
@@ -183,7 +189,7 @@ class _Tally:
         self._round = 0
 
     def take(self, record: Pose | Round | Stall | Log, ended: bool) -> None:
-        """Take in a record of the robot; `ended`: the mission is over."""
+        """Add a record of the robot; `ended`: the mission is over."""
         match record:
             case Pose():
                 self.pose(record, ended)
@@ -205,7 +211,7 @@ class _Tally:
         self._last = pose.position
 
     def log(self, record: Log) -> None:
-        """Count a warning or an error, by its words without numbers. Those of stalls are told as stalls."""
+        """Count a warning or an error by its text without numbers. Stall messages are reported as stalls."""
         own = self.summary
         if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):
             return
@@ -224,7 +230,7 @@ class _Tally:
         own.append(Stalled(since, record.lasted, record.state == "ends", record.why))
 
     def end(self, t: float) -> None:
-        """The mission is over: a stall that goes on has lasted until now."""
+        """Close open stalls at the mission's end."""
         for stalled in self.summary.stalls:
             if not stalled.over:
                 stalled.seconds = round(t - stalled.since, 3)
@@ -252,7 +258,7 @@ def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Fou
         return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
     if outcome.ended == "timeout":
         waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
-        return "not started", f"round 1 never came: {waiting}"
+        return "not started", f"round 1 did not begin: {waiting}"
     if own:
         return "violated", first
     if violations:
@@ -263,7 +269,9 @@ def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Fou
 
 
 def _open(found: Found) -> bool:
-    """Whether the run does not tell of a property. An axiom is what a program takes for granted, nothing to judge."""
+    """Return whether the run leaves a property undecided.
+
+    An axiom is assumed by the program and never judged."""
     return found.outcome in ("out of model", "unchecked") and found.of != "axiom"
 
 
@@ -272,28 +280,28 @@ def _since(found: Found) -> str:
 
 
 def _named(found: Found) -> str:
-    """A property, and where it stands."""
+    """Return a property's name and line."""
     return f"{found.of} {found.name} ({found.line})" if found.name else f"{found.of} ({found.line})"
 
 
 def found_text(found: Found) -> str:
-    """The verdict on a property, in one line."""
+    """Return the verdict on a property, in one line."""
     detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
     return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
 
 
 def headline(summary: Summary) -> str:
-    """The verdict in a word or three: a run that held without telling of all properties says so."""
+    """Return the verdict in one to three words. "held in part": not all properties could be judged."""
     return "held in part" if summary.verdict == "held" and any(map(_open, summary.properties)) else summary.verdict
 
 
 def seconds(t: float) -> str:
-    """A time, for people; never -0.00."""
+    """Format a time for display; never -0.00."""
     return f"{round(t, 2) + 0.0:.2f}"
 
 
 def told(violation: Violation) -> str:
-    """A violation in one sentence."""
+    """Return a violation as one sentence."""
     who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
     host = f"; {violation.host}" if violation.host else ""
     if violation.line:
@@ -303,40 +311,40 @@ def told(violation: Violation) -> str:
 
 
 def stalled(robot: str, stall: Stalled) -> str:
-    """A time without a way, in one line."""
+    """Return a stall as one line."""
     until = f"for {stall.seconds:.1f} s" if stall.over else f"until the end ({stall.seconds:.1f} s)"
     return f"{robot} from {seconds(stall.since)} s {until}: {stall.why}"
 
 
 def waits(seconds_of: Mapping[str, float]) -> str:
-    """For how long processes waited for a processor core, in words."""
+    """Return a sentence on how long processes waited for a processor core."""
     longest = max(seconds_of, key=seconds_of.__getitem__)
     whole = sum(seconds_of.values())
     return f"processes waited {whole:.2f} s for a processor core, {longest} the longest: {seconds_of[longest]:.2f} s"
 
 
 def warned(robot: str, warning: Warned) -> str:
-    """A warning in one line."""
+    """Return a warning as one line."""
     often = f" ({warning.times} times)" if warning.times > 1 else ""
     return f"{robot} at {seconds(warning.since)} s: {warning.text}{often}"
 
 
-def _brought(cause: Cause) -> str:
-    """A fault in one line."""
+def _cause_text(cause: Cause) -> str:
+    """Return an injected fault as one line."""
     who = f" ({', '.join(cause.robots)})" if cause.robots else ""
     told = f"at {seconds(cause.t)} s {cause.what}{who}"
     return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
 
 
 def write(summary: Summary, folder: Path) -> None:
-    """`summary.json` and `summary.txt`. Raises OSError."""
+    """Write `summary.json` and `summary.txt`. Raises OSError."""
     text = msgspec.json.format(msgspec.json.encode(summary), indent=2)
     (folder / "summary.json").write_bytes(text + b"\n")
     (folder / "summary.txt").write_text(as_text(summary), encoding="utf-8")
 
 
 def as_text(summary: Summary) -> str:
-    """The summary for people."""
+    """Return the summary as text."""
     lines = [
         f"{summary.app}: {headline(summary).upper()}: {summary.why}",
         f"seed {summary.seed}, {summary.duration:.1f} of {summary.duration_asked:g} s, program {summary.program_hash}",
@@ -363,14 +371,14 @@ def as_text(summary: Summary) -> str:
         lines.append(f"the processor's time: {', '.join(parts)}")
     stalls = [stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
     if stalls:
-        lines += ["", "robots without a way:", *(f"  {line}" for line in stalls)]
+        lines += ["", "robots without a path to their target:", *(f"  {line}" for line in stalls)]
     warnings = [warned(robot.name, each) for robot in summary.robots for each in robot.warnings]
     if warnings:
         lines += ["", "robots warned:", *(f"  {line}" for line in warnings)]
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     if summary.causes:
-        lines += ["", "brought about on purpose:", *(f"  {_brought(cause)}" for cause in summary.causes)]
+        lines += ["", "injected faults:", *(f"  {_cause_text(cause)}" for cause in summary.causes)]
     for robot in summary.robots:
         if robot.last_lines:
             lines += ["", f"the last lines of {robot.name}'s log:", *(f"  {line}" for line in robot.last_lines)]
@@ -391,9 +399,11 @@ def _table(summary: Summary) -> list[str]:
 
 
 def _properties(summary: Summary) -> list[str]:
-    """One line each; nothing for a program without any."""
+    """Return one line per property, then the violations reported by monitors.
+
+    None for a program without any."""
     lines = [found_text(found) for found in summary.properties]
-    took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
+    took = [f"judging them took {summary.watching:.1%} of the time"] if lines else []
     own = ["", "the robots' own monitors:"] if summary.noticed else []
     own += [f"  {noticed_text(found)}" for found in summary.noticed]
     return (["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []) + own
@@ -413,7 +423,7 @@ def _details(summary: Summary) -> list[str]:
 
 
 def place(position: Vector | None) -> str:
-    """A position, for a table."""
+    """Format a position for a table."""
     if position is None:
         return "-"
     return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in position))  # + 0.0: no -0.00

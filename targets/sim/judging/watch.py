@@ -1,11 +1,11 @@
-"""Watches a run: the program's properties over the truth. Invariants hold at every moment, port assumptions over each
-round of each robot; what a robot does after it has left the model (it landed by itself, died, was removed) is said of
-no property.
+"""Watcher: judges a program's properties over the true states of a run.
 
-A round's moments are the physics steps from its start to the next one's: bodies where they are at each, everything else
-as after the round's events (before them, for the step at which both rounds meet). They are judged when all robots have
-told of the next round.
-"""
+Invariants must hold at every observation, port assumptions over each round of each robot. After a robot has left the
+model (it landed by itself, died, or was removed), no property is judged on its behaviour.
+
+A round's observations are the physics steps from its start to the start of the next round. At each, bodies have their
+positions at that step, all other values those after the round's events (before them at the step where both rounds
+meet). They are judged once all robots have recorded the next round."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdi
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging.batch import Batch
-from targets.sim.judging.judge import Of, Watched, all_of
+from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
-from targets.sim.run.crew import Agent
 from targets.sim.run.run import Run
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.trace.truth import Truth
 
-PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
-MOST_KEPT = 4800  # steps kept while round 1 has not been heard of
+PATIENCE = 3.0  # seconds after a round's end for which its records are awaited
+MOST_KEPT = 4800  # steps kept before round 1 begins
 _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "position": lambda state: Point(*state.position),
     "velocity": lambda state: Point(*state.velocity),
@@ -46,14 +46,16 @@ _CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "un
 
 
 def load(root: Path, driven: Collection[str] = ()) -> Properties:
-    """The properties of the sim bundle at `root`. `driven` are the modules that drivers of the user's own serve."""
+    """Return the properties of the sim bundle at `root`.
+
+    `driven`: modules served by the user's own drivers."""
     sys.path.insert(0, str(root))
     try:
-        for name in ("program", "properties"):  # of another bundle
+        for name in ("program", "properties"):  # loaded from another bundle
             sys.modules.pop(name, None)
         found = properties_of(root, importlib.import_module("program").PROGRAM, driven)
         if found.program.library is not None:
-            with suppress(BadExtern):  # the robots say so; a property that asks it has no value
+            with suppress(BadExtern):  # the robots report the error; a property that calls the library has no value
                 found.program.library.load()
         return found
     finally:
@@ -64,12 +66,14 @@ def load(root: Path, driven: Collection[str] = ()) -> Properties:
 class _Moment:
     at: float
     states: list[BodyState]
-    ports: dict[str, list[Any]] = field(default_factory=dict)  # measured ones, when they are wanted
+    ports: dict[str, list[Any]] = field(default_factory=dict)  # measured ports, computed on demand
 
 
 class Watcher:
-    """A `crew.Companion`. `seconds` is what it took of the host's time. With `windows` it looks at all windows of all
-    robots, also when an assumption has been violated already; what it says of the run is the same."""
+    """Companion that judges the properties of a run.
+
+    `seconds`: time of the host that judging took. With `windows`, it judges all windows of all robots, also after an
+    assumption was violated; the verdicts are the same."""
 
     def __init__(self, found: Properties, names: tuple[str, ...], delta: float, windows: Windows | None = None) -> None:
         self.seconds = 0.0
@@ -79,18 +83,18 @@ class Watcher:
         self._known = found.fleet(self._n, None)
         self._step = found.step(self._n, None)
         self._moments: deque[_Moment] = deque()
-        self._out: dict[int, float] = {}  # pid -> since when it is out of the model
+        self._out: dict[int, float] = {}  # pid -> time when it left the model
         self._view = View(0, 0, (0,) * self._n)
         self._began = False
-        self._arrays: dict[str, NDArray[Any]] = {}  # of the round that is looked at
+        self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
         self._stopped: set[int] = set()
-        self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
+        self._until = math.inf  # the mission's end: robots were told to stop safely, or all have stopped
         self._watched = all_of(found, self._n)
-        self._loops: dict[int, tuple[Violation, str]] = {}  # loop invariants that were false, by line; in which event
+        self._loops: dict[int, tuple[Violation, str]] = {}  # false loop invariants by line; with the event
 
     @property
     def moving(self) -> set[str]:
-        """The lines ("app.koord:12") of the properties that read where bodies are."""
+        """Lines ("app.koord:12") of the properties that read positions of bodies."""
         return {watched.line for watched in self._watched if watched.moving}
 
     def launched(self, run: Run) -> None:
@@ -106,7 +110,7 @@ class Watcher:
                 self._moments.popleft()
         self.seconds += time.perf_counter() - began
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         began = time.perf_counter()
         pid = agent.robot.pid
         for record in records:
@@ -129,7 +133,7 @@ class Watcher:
         self.seconds += time.perf_counter() - began
 
     def _note_loops(self, robot: str, record: Init | Round) -> None:
-        """Mark the loop invariants that were false in a robot's event, each the first time."""
+        """Mark each loop invariant that was false in a robot's event, once."""
         where = f"the event {record.event}" if isinstance(record, Round) else "init"
         for line in record.violated:
             if line not in self._loops and record.time <= self._until:
@@ -140,7 +144,9 @@ class Watcher:
                 self._run.mark(violation)
 
     def _rests(self, pid: int, at: float) -> None:
-        """A robot comes to rest unasked: when all have stopped, that is the mission's end, else it leaves the model."""
+        """Handle a safe stop that was not commanded.
+
+        If all robots have stopped, it is the mission's end. Otherwise the robot leaves the model."""
         if all(p in self._stopped or p in self._out for p in range(self._n)):
             self._until = min(self._until, at)
         else:
@@ -162,7 +168,7 @@ class Watcher:
         self.seconds += time.perf_counter() - began
 
     def _ready(self, round_: int) -> bool:
-        """Whether all that is to be known of a round has been told, or has been waited for."""
+        """Return whether all records of a round have arrived, or were awaited long enough."""
         zero = self._run.zero
         if zero is not None and self._moments[-1].at - zero > round_ * self._delta + PATIENCE:
             return True
@@ -172,7 +178,7 @@ class Watcher:
         return pid in self._out or (self._view.members[pid] < 0 and self._view.since <= round_)
 
     def _judge(self, ready: Callable[[int], bool]) -> None:
-        """All rounds that can be: their moments have passed, and the next round is known, too."""
+        """Judge all rounds whose observations are complete and whose next round is recorded."""
         zero = self._run.zero
         while len(self._moments) > 1 and self._moments[-1].at > self._until:
             self._moments.pop()
@@ -183,7 +189,7 @@ class Watcher:
             self._window(zero, end)
 
     def _window(self, zero: float, end: float) -> None:
-        """The next round: its moments are those up to `end`, both ends included."""
+        """Judge the next round. Its observations are those up to `end`, both ends included."""
         if not self._began:
             self._began = True
             self._truth.begin()
@@ -195,7 +201,7 @@ class Watcher:
         moments = [self._moments.popleft()]
         while self._moments and self._moments[0].at <= end:
             moments.append(self._moments.popleft())
-        self._moments.appendleft(moments[-1])  # where the next round begins
+        self._moments.appendleft(moments[-1])  # the next round begins at this observation
         self._fleet("invariant", moments)
         if self._truth.round > 0:
             self._assumptions(moments)
@@ -217,10 +223,12 @@ class Watcher:
                     outcome, why = judged(watched.what.holds, self._known)
                     self._note(watched, outcome, moment.at, why, self._known)
 
-    def _due(self, asked: list[Watched], moments: list[_Moment]) -> dict[int, list[Watched]]:
-        """By moment, what has to be asked there one by one: of what moves all moments but those at which many at once
-        have shown that it surely holds."""
-        due: dict[int, list[Watched]] = {}
+    def _due(self, asked: list[JudgedProperty], moments: list[_Moment]) -> dict[int, list[JudgedProperty]]:
+        """Return the properties to evaluate one by one, by observation.
+
+        A property that reads positions is evaluated at all observations, except those at which its screening shows that
+        it holds."""
+        due: dict[int, list[JudgedProperty]] = {}
         batch: Batch | None = None
         for watched in asked:
             which = list(range(len(moments))) if watched.moving else [0]
@@ -234,7 +242,7 @@ class Watcher:
         return due
 
     def _measured(self, moments: list[_Moment]) -> dict[str, NDArray[Any]]:
-        """The places and velocities of a round, for a Batch."""
+        """Return the positions and velocities of a round, for a Batch."""
         if not self._arrays:
             for name in self._found.measured:
                 kind = name.rpartition(".")[2]
@@ -244,7 +252,7 @@ class Watcher:
         return self._arrays
 
     def _without(self, gone: list[int]) -> dict[str, list[Any]]:
-        """What ports say, but those of robots that are out of the model."""
+        """Return the values of ports, UNKNOWN for robots that are out of the model."""
         values = self._truth.values
         ports = [p.name for p in self._found.program.ports if p.name in values]
         return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
@@ -271,8 +279,8 @@ class Watcher:
             )
             windows.moved(places, velocities, targets, self._gone(moments[-1].at))
 
-    def _due_of_each(self, watched: Watched, moments: list[_Moment]) -> list[list[int]]:
-        """By pid the moments at which an assumption has to be asked: as `_due`."""
+    def _due_of_each(self, watched: JudgedProperty, moments: list[_Moment]) -> list[list[int]]:
+        """Return by pid the observations at which an assumption must be evaluated, as `_due` does."""
         what, last = watched.what, len(moments) - 1
         assert isinstance(what, Assumption)
         sampled = bool(self._sampled(what))
@@ -285,9 +293,11 @@ class Watcher:
         watched.moments += 0 if watched.decided else (last + 1) * self._n - len(unsure)
         return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
 
-    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
-        """Of one robot in one round: before, its ports right after the program's step; after, at each moment, until it
-        does not hold."""
+    def _assumption(self, watched: JudgedProperty, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
+        """Evaluate an assumption of one robot in one round.
+
+        Unprimed ports have their values right after the program's step, primed ones those of each observation, until
+        the assumption does not hold."""
         assumption, step, values = watched.what, self._step, self._truth.values
         assert isinstance(assumption, Assumption)
         if self._is_out(pid, moments[-1].at):
@@ -315,14 +325,15 @@ class Watcher:
         return came
 
     def _sampled(self, assumption: Assumption) -> list[str]:
-        """Sensors of which an assumption wants to know what they are afterwards, and only the robot can say: it does at
-        its next round."""
+        """Return the sensors that an assumption reads primed and only the robot measures.
+
+        Known at its next round."""
         primed = [name[:-1] for name in assumption.reads if name.endswith("'")]
         sensors = {p.name for p in self._found.program.ports if p.direction == "sensor"}
         return [name for name in primed if name in sensors and name not in self._found.measured]
 
     def _ports(self, moment: _Moment) -> dict[str, list[Any]]:
-        """The measured ports, as they are in truth."""
+        """Return the true values of the measured ports."""
         if not moment.ports:
             gone = self._gone(moment.at)
             for name in self._found.measured:
@@ -333,7 +344,7 @@ class Watcher:
         return moment.ports
 
     def _gone(self, at: float) -> list[int]:
-        """Who is out of the model."""
+        """Return the pids of robots that are out of the model."""
         if not self._out and min(self._view.members) >= 0:
             return []
         return [pid for pid in range(self._n) if self._is_out(pid, at)]
@@ -346,7 +357,7 @@ class Watcher:
         removed = self._view.members[pid] < 0 and zero is not None
         return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
 
-    def _note(self, watched: Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
+    def _note(self, watched: JudgedProperty, outcome: Outcome, at: float, why: str, known: Known) -> None:
         violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
         if violation is not None:
             self._run.mark(violation)

@@ -1,9 +1,8 @@
-"""Every window of a run: for each round and robot how each port assumption came out, and how far the body went outside
-the box between where it was and its target. `windows.jsonl` beside the trace, when it is asked for; a Watcher fills it.
+"""Records of all windows of a run: results of port assumptions, and excursions of bodies.
 
-The first line says what the numbers are of, each further one is a window, the last one says that the run came to its
-end: a file without it is none.
-"""
+For each round and robot: how each port assumption came out, and how far the body left the box between its position and
+its target. A Watcher fills it and, on request, `windows.jsonl` is written beside the trace. Its first line is a header,
+each further line a window, the last line the end of the run: a file without an end is incomplete."""
 
 from __future__ import annotations
 
@@ -19,15 +18,15 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.scenario import Scenario
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-DIGITS = 6  # behind the point, of metres and metres a second
-ROUNDING = 1e-9  # metres: what is outside by less is so by rounding, and is not told
-# held, violated, no value, not known, out of the model, nothing was asked of the port that it is about
+DIGITS = 6  # decimals, of metres and metres a second
+ROUNDING = 1e-9  # metres; a smaller excess is due to rounding and not recorded
+# held, violated, no value, not known, out of the model, nothing was called on the assumption's port
 Came = Literal["h", "v", "n", "u", "o", "-"]
 Array = NDArray[Any]
 
 
 class Windows:
-    """Of one run. `put` and `moved` are told window by window, `write` at the end."""
+    """Windows of one run. `put` and `moved` are called window by window, `write` at the end."""
 
     def __init__(self, found: Properties, scenario: Scenario, seed: int) -> None:
         self._rows: list[dict[str, Any]] = []
@@ -43,16 +42,18 @@ class Windows:
         }  # fmt: skip
 
     def begin(self, round_: int) -> None:
-        """The window that begins when a round's events have run."""
+        """Begin the windows of a round, whose events have run."""
         self._rows += [{"round": round_, "pid": pid, "came": ""} for pid in range(self._n)]
 
     def put(self, pid: int, came: Came) -> None:
-        """How the next assumption came out for a robot."""
+        """Record the result of the next assumption for a robot."""
         self._rows[pid - self._n]["came"] += came
 
     def moved(self, positions: Array, velocities: Array, targets: list[Any], gone: list[int]) -> None:
-        """Where the bodies were in it: arrays (moments, robots, 3) in metres and metres a second, local ENU; each
-        robot's target, and who was out of the model."""
+        """Record the motion of the bodies in the window.
+
+        Arrays (observations, robots, 3) in metres and metres a second, local ENU; each robot's target; robots out of
+        the model."""
         for pid, target in enumerate(targets):
             if isinstance(target, Point) and pid not in gone:
                 self._rows[pid - self._n] |= _geometry(
@@ -60,22 +61,26 @@ class Windows:
                 )
 
     def write(self, folder: Path, ended: str) -> None:
-        """Raises OSError."""
+        """Write the file. Raises OSError."""
         lines = [self._head, *self._rows, {"end": ended}]
         with (folder / FILE).open("w", encoding="utf-8") as file:
             file.writelines(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
 
 
 def _goal(found: Properties) -> str:
-    """The actuator that holds the body at its own position until it is written; "" without one."""
+    """Return the actuator that holds the body at its own position until it is written.
+
+    "" if there is none."""
     places = {p.name for p in found.program.ports if p.is_position}
     return next((p.name for p in found.program.ports if p.held in places), "")
 
 
 def _geometry(places: Array, velocities: Array, target: Array) -> dict[str, Any]:
-    """Of one window: where it began and how fast, how far from the target it came; and where the body was outside of
-    the box between its place and the target, by how much (the vector from the box), how fast then, and how far from the
-    target."""
+    """Return the geometry of one window.
+
+    Its start position and velocity, and the largest distance from the target. If the body left the box between start
+    and target: the largest excess (vector from the box), the velocity then, and the largest distance from the target
+    outside."""
     start = places[0]
     lo, hi = np.minimum(start, target), np.maximum(start, target)
     excess = np.maximum(places - hi, 0.0) + np.minimum(places - lo, 0.0)
@@ -98,5 +103,5 @@ def _rounded(vector: Array) -> list[float]:
 
 
 def _up(value: float) -> float:
-    """Not less than it is: margins are learned of it."""
+    """Round up: margins are learned from the value."""
     return round(float(value) + 0.5 * 0.1**DIGITS, DIGITS)

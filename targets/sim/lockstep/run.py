@@ -1,9 +1,10 @@
-"""A run in lockstep: all agents live in this process, on a clock that goes on as fast as the processor allows.
+"""Lockstep clock.
 
-The world steps 240 times a second of the run's time. Between two steps agents are polled at the very moments that they
-asked for, or at which a datagram comes, in the order of time and then of pids; what they compute takes no time. So the
-same scenario and seed give the same run, and traces that are the same byte for byte.
-"""
+All agents live in this process, and simulated time passes as fast as the processor allows.
+
+The world steps 240 times per simulated second. Between two steps, agents are polled at the times that they requested or
+at which a datagram arrives, in order of time and then of pid. Computation takes no simulated time. So the same scenario
+and seed give the same run, and traces that are equal byte for byte."""
 
 from __future__ import annotations
 
@@ -17,71 +18,75 @@ from koordgen.runtime.net.network import MemoryNetwork
 from koordgen.runtime.program.runner import Interrupting
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.lockstep.resident import Resident, Shared
+from targets.sim.lockstep.agent import LockstepAgent, Shared
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Step
-from targets.sim.run.stage import Stage
+from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.scene import SimulationScene
 
-LONGEST_EVENT = 10.0  # seconds of the host after which an event that does not end is ended
-ITERATIONS = 400  # of a planner's search
+LONGEST_EVENT = 10.0  # seconds of the host's clock after which an event is interrupted
+ITERATIONS = 400  # iterations of a planner's search
 
 
 class Lockstep:
-    """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets a folder of each robot. The run's key comes
-    from its seed: nobody else hears these datagrams."""
+    """Lockstep clock and agents of a run. Implements `crew.AgentsAndClock`.
+
+    `root` is the sim bundle; `folder` receives a folder for each robot. The run's key is derived from its seed: nobody
+    else receives these datagrams."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
         self.check(scenario)
-        random.seed(f"{seed}/user")  # which a user's functions may ask
+        random.seed(f"{seed}/user")  # random numbers for the user's functions
         self._shared = Shared(
             scenario, root, seed, hashlib.sha256(f"lockstep {seed}".encode()).digest(), ITERATIONS, _Longest()
         )
-        self._agents: list[Resident] = []
+        self._agents: list[LockstepAgent] = []
         for robot in scenario.robots:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
             self._agents.append(self.resident(robot, own, self._shared))
-        self._stage: Stage | None = None
+        self._scene: SimulationScene | None = None
         self._steps = 0
         self._began = time.perf_counter()
 
     def check(self, scenario: Scenario) -> None:
-        """Whether all robots can run so. Raises BadScenario."""
+        """Check that all robots can run in lockstep. Raises BadScenario."""
         _check(scenario)
 
-    def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
-        """A robot's agent, which is not launched yet."""
-        return Resident(robot, folder, shared)
+    def resident(self, robot: Robot, folder: Path, shared: Shared) -> LockstepAgent:
+        """Return a robot's agent, not yet launched."""
+        return LockstepAgent(robot, folder, shared)
 
     @property
-    def agents(self) -> list[Resident]:
+    def agents(self) -> list[LockstepAgent]:
         return self._agents
 
     @property
     def network(self) -> MemoryNetwork:
-        """Between the agents."""
+        """Network between the agents."""
         return self._shared.network
 
-    def stage(self) -> Stage:
+    def scene(self) -> SimulationScene:
         shared = self._shared
-        self._stage = Stage(shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now)
-        return self._stage
+        self._scene = SimulationScene(
+            shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now
+        )
+        return self._scene
 
-    def launch(self, stage: Stage) -> None:
-        for agent, actor in zip(self._agents, stage.actors, strict=True):
+    def launch(self, scene: SimulationScene) -> None:
+        for agent, actor in zip(self._agents, scene.actors, strict=True):
             agent.launch(actor)
         self._began = time.perf_counter()
 
     def disturb(self, medium: Medium) -> None:
-        """See Conduct."""
+        """See AgentsAndClock."""
         network = self._shared.network
         network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
 
     def now(self) -> float:
         return self._shared.clock.time
 
-    def go_on(self, step: Step) -> None:
-        """One step of the world, then the agents up to the next."""
+    def go_on(self, step: WorldStep) -> None:
+        """Step the world once, then poll the agents up to the next step."""
         at, shares = self._steps * STEP, self._shared.shares
         began = shares.begin()
         step(at)
@@ -113,7 +118,7 @@ class Lockstep:
 
     @property
     def late(self) -> int:
-        """None is: the clock waits."""
+        """Number of late steps: always 0, for the clock waits."""
         return 0
 
     @property
@@ -122,8 +127,8 @@ class Lockstep:
 
     @property
     def shares(self) -> dict[str, float]:
-        """What the processor's time went to, by part."""
-        return self._shared.shares.told(self._stage.spent if self._stage is not None else 0.0)
+        """Shares of the processor's time, by part."""
+        return self._shared.shares.told(self._scene.spent if self._scene is not None else 0.0)
 
     def close(self) -> None:
         for agent in self._agents:
@@ -131,7 +136,7 @@ class Lockstep:
 
 
 class _Longest:
-    """A limit on events that counts the host's seconds: one that never ends must not hold up the run."""
+    """Limit on the host's time of an event: an event that never ends must not block the run."""
 
     def __init__(self) -> None:
         self._interrupting = Interrupting()
@@ -144,11 +149,11 @@ def _check(scenario: Scenario) -> None:
     for robot in scenario.robots:
         if robot.external:
             raise BadScenario(
-                f"{robot.name}: its autopilot is external, a process with a clock of its own",
-                "leave out --lockstep, or say `autopilot: simulated` in its `sim:`",
+                f"{robot.name}: its external autopilot has its own clock and cannot run in lockstep",
+                "leave out --lockstep, or set `autopilot: simulated` in its `sim:`",
             )
         if not robot.inside:
             raise BadScenario(
                 f"{robot.name}: its target {robot.target} cannot run in lockstep",
-                "its manifest's [simulation] must say `inside`, and the bundle be built again; or leave out --lockstep",
+                "set `inside` in [simulation] of its manifest and build again, or leave out --lockstep",
             )

@@ -1,8 +1,7 @@
-"""Wires in memory between simulated devices and agents that live in the same process.
+"""Connections in memory between simulated devices and agents of the same process.
 
-A device's end is a `ports.Port` or a `ports.Terminal`; the agent's is opened by the number or the name that the device
-has told, as a real one is, and is dead from the moment at which its agent has crashed.
-"""
+The device's end is a `ports.Port` or a `ports.Terminal`. The agent opens the other end by the number or name that the
+device reports, as with a real one. After a crash of the agent, its end is dead."""
 
 from __future__ import annotations
 
@@ -11,20 +10,20 @@ from collections.abc import Callable
 
 from koordgen.runtime.vehicle.platform import Unready
 
-# What a socket's buffer of Linux holds of such datagrams: what comes beyond it is lost.
+# Datagrams that wait at one end, as many as a Linux socket buffer holds. Further ones are lost.
 MOST_WAITING = 256
-EPOCH = 1_750_000_000.0  # the time of day, in seconds since 1970, at which every run in lockstep begins
-ROOM = 4096  # bytes that a serial line holds
+EPOCH = 1_750_000_000.0  # time of day at which every lockstep run begins, in seconds since 1970
+ROOM = 4096  # bytes that a serial line buffers
 
 
-class Line:
-    """A device's port and what is under way on it: `targets.sim.base.ports.Port`."""
+class MemoryPort:
+    """Datagram port of a device, in memory. Implements `targets.sim.base.ports.Port`."""
 
     def __init__(self, number: int) -> None:
         self.number = number
         self._to_agent: deque[bytes] = deque()
         self._to_device: list[bytes] = []
-        self._end: LineEnd | None = None
+        self._end: MemoryPortEnd | None = None
 
     def receive(self) -> list[bytes]:
         if not self._to_device:
@@ -39,19 +38,19 @@ class Line:
     def close(self) -> None:
         self._end = None
 
-    def opened(self) -> LineEnd:
-        """A new end for the agent. Raises Unready when another has it."""
+    def opened(self) -> MemoryPortEnd:
+        """Return a new end for the agent. Raises Unready if another agent has one."""
         if self._end is not None:
             raise Unready(f"port {self.number} is in use")
         self._to_agent.clear()
-        self._end = LineEnd(self)
+        self._end = MemoryPortEnd(self)
         return self._end
 
-    def left(self, end: LineEnd) -> None:
+    def left(self, end: MemoryPortEnd) -> None:
         if self._end is end:
             self._end = None
 
-    def taken(self, end: LineEnd) -> bytes | None:
+    def taken(self, end: MemoryPortEnd) -> bytes | None:
         return self._to_agent.popleft() if self._end is end and self._to_agent else None
 
     def given(self, data: bytes) -> bool:
@@ -61,11 +60,12 @@ class Line:
         return True
 
 
-class LineEnd:
-    """Implements `koordgen.runtime.vehicle.inside.Exchange`. It can be written to after the agent's death, as
-    CableEnd."""
+class MemoryPortEnd:
+    """Agent's end of a MemoryPort. Implements `koordgen.runtime.vehicle.simulator_services.Exchange`.
 
-    def __init__(self, line: Line) -> None:
+    It can still be written to after the agent's death, as a serial line's end can."""
+
+    def __init__(self, line: MemoryPort) -> None:
         self._line = line
 
     def receive(self) -> bytes | None:
@@ -78,15 +78,16 @@ class LineEnd:
         self._line.left(self)
 
 
-class Cable:
-    """A serial line: `targets.sim.base.ports.Terminal`, and the agent's `koordgen.runtime.vehicle.inside.Stream` by
-    `opened`."""
+class MemorySerialLine:
+    """Serial line of a device, in memory.
+
+    Implements `targets.sim.base.ports.Terminal`; agents use `opened`."""
 
     def __init__(self, device: str) -> None:
         self.device = device
         self._to_agent = b""
         self._to_device = b""
-        self._end: CableEnd | None = None
+        self._end: MemorySerialEnd | None = None
 
     def read(self) -> bytes:
         data, self._to_device = self._to_device, b""
@@ -100,19 +101,20 @@ class Cable:
     def close(self) -> None:
         self._end = None
 
-    def opened(self) -> CableEnd:
-        """A new end for the agent. What an agent before it did not read is still there, as on a real line. Raises
-        Unready when another has it."""
+    def opened(self) -> MemorySerialEnd:
+        """Return a new end for the agent. Raises Unready if another agent has one.
+
+        Bytes that an earlier agent did not read are still there, as on a real line."""
         if self._end is not None:
             raise Unready(f"cannot open {self.device}: another program has it")
-        self._end = CableEnd(self)
+        self._end = MemorySerialEnd(self)
         return self._end
 
-    def left(self, end: CableEnd) -> None:
+    def left(self, end: MemorySerialEnd) -> None:
         if self._end is end:
             self._end = None
 
-    def taken(self, end: CableEnd) -> bytes:
+    def taken(self, end: MemorySerialEnd) -> bytes:
         if self._end is not end:
             return b""
         data, self._to_agent = self._to_agent, b""
@@ -124,11 +126,12 @@ class Cable:
         return len(taken)
 
 
-class CableEnd:
-    """Implements `koordgen.runtime.vehicle.inside.Stream`. It can be written to after the agent's death: its watchdog
-    holds it, too."""
+class MemorySerialEnd:
+    """Agent's end of a serial line. Implements `koordgen.runtime.vehicle.simulator_services.Stream`.
 
-    def __init__(self, cable: Cable) -> None:
+    It can still be written to after the agent's death: the car's watchdog uses it, too."""
+
+    def __init__(self, cable: MemorySerialLine) -> None:
         self._cable = cable
 
     def read(self) -> bytes:
@@ -144,48 +147,52 @@ class CableEnd:
         self._cable.left(self)
 
 
-class Hub:
-    """All wires of a run: `targets.sim.base.ports.Wiring`, and what agents open. Numbers count from 1, in the order in
-    which devices are made."""
+class MemoryWiring:
+    """All connections of a run, on both sides. Implements `targets.sim.base.ports.Wiring`.
+
+    Ports are numbered from 1 in the order of creation."""
 
     def __init__(self) -> None:
-        self._lines: dict[int, Line] = {}
-        self._cables: dict[str, Cable] = {}
+        self._lines: dict[int, MemoryPort] = {}
+        self._cables: dict[str, MemorySerialLine] = {}
 
-    def port(self) -> Line:
-        line = Line(len(self._lines) + 1)
+    def port(self) -> MemoryPort:
+        line = MemoryPort(len(self._lines) + 1)
         self._lines[line.number] = line
         return line
 
-    def terminal(self) -> Cable:
-        cable = Cable(f"memory{len(self._cables) + 1}")
+    def terminal(self) -> MemorySerialLine:
+        cable = MemorySerialLine(f"memory{len(self._cables) + 1}")
         self._cables[cable.device] = cable
         return cable
 
-    def line(self, url: str) -> Line:
-        """The device's port that "udp:HOST:PORT" or "udpin:HOST:PORT" names. Raises Unready."""
+    def line(self, url: str) -> MemoryPort:
+        """Return the device's port for "udp:HOST:PORT" or "udpin:HOST:PORT". Raises Unready."""
         number = url.rpartition(":")[2]
         if not number.isdecimal() or int(number) not in self._lines:
             raise Unready(f"no simulated device is at {url}")
         return self._lines[int(number)]
 
-    def cable(self, device: str) -> Cable:
-        """Raises Unready."""
+    def cable(self, device: str) -> MemorySerialLine:
+        """Return the serial line of a device. Raises Unready."""
         if device not in self._cables:
             raise Unready(f"there is no simulated device {device}")
         return self._cables[device]
 
 
-class Surroundings:
-    """Implements `koordgen.runtime.vehicle.inside.Inside` for one start of one agent. `steps` are called with each step
-    of the world."""
+class LockstepServices:
+    """Services of the process for one start of one agent.
 
-    def __init__(self, hub: Hub, clock: Callable[[], float], seed: int, iterations: int) -> None:
+    Implements `koordgen.runtime.vehicle.simulator_services.SimulatorServices`.
+
+    `steps` are called at each step of the world."""
+
+    def __init__(self, hub: MemoryWiring, clock: Callable[[], float], seed: int, iterations: int) -> None:
         self._hub = hub
         self._clock = clock
         self.seed, self.iterations = seed, iterations
         self.steps: list[Callable[[float], None]] = []
-        self._opened: list[LineEnd | CableEnd] = []
+        self._opened: list[MemoryPortEnd | MemorySerialEnd] = []
 
     def now(self) -> float:
         return self._clock()
@@ -193,12 +200,12 @@ class Surroundings:
     def today(self) -> float:
         return EPOCH + self._clock()
 
-    def exchange(self, url: str) -> LineEnd:
+    def exchange(self, url: str) -> MemoryPortEnd:
         end = self._hub.line(url).opened()
         self._opened.append(end)
         return end
 
-    def stream(self, device: str) -> CableEnd:
+    def stream(self, device: str) -> MemorySerialEnd:
         end = self._hub.cable(device).opened()
         self._opened.append(end)
         return end
@@ -207,6 +214,6 @@ class Surroundings:
         self.steps.append(step)
 
     def cut(self) -> None:
-        """The agent is gone: what it had opened is free."""
+        """Close all that the agent had opened, after its end."""
         for end in self._opened:
             end.close()

@@ -1,8 +1,9 @@
-"""PyBullet as contact engine (see contacts.py). The only module that knows pybullet, which has no types.
+"""Contact engine PyBullet (see contacts.py).
 
-A body that is not taken sleeps and touches nothing. PyBullet multiplies the friction of two surfaces by itself. It
-repeats itself only in a fresh client.
-"""
+The only module that imports pybullet, which has no types.
+
+A body outside the engine's control sleeps and touches nothing. PyBullet itself multiplies the friction of two surfaces.
+Its results repeat only in a fresh client."""
 
 from __future__ import annotations
 
@@ -15,15 +16,15 @@ from typing import Any
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.contacts import FLOOR_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
+from targets.sim.physics.contacts import FLOOR_FRICTION, TOUCHING, BodyMotionTuple, NoWindow, Solid, Touched
 
-# Collision groups: what is in one touches those of its mask.
+# Collision groups and masks: a body touches the groups in its mask.
 ROBOT, OBSTACLE, FLOOR, NOTHING = 1, 2, 4, 0
 EVERYTHING = ROBOT | OBSTACLE | FLOOR
 
 
 def _pybullet() -> ModuleType:
-    """Imports pybullet without the line that it prints from C."""
+    """Import pybullet without the line that its C code prints."""
     kept, null = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
     try:
         for number in (1, 2):
@@ -41,7 +42,7 @@ def _pybullet() -> ModuleType:
 
 
 def _displayed() -> bool:
-    """Whether there is an X display: without one PyBullet's window would end the process."""
+    """Return whether there is an X display. Without one, PyBullet's window would end the process."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError:
@@ -59,7 +60,9 @@ def _vector(p: Point) -> Vector:
 
 
 class Bullet:
-    """One client. Bodies and obstacles are numbered from 0, each in the order in which they came. Raises NoWindow."""
+    """One PyBullet client.
+
+    Bodies and obstacles are numbered from 0 in the order of creation. Raises NoWindow."""
 
     def __init__(self, step: float, friction: float = 1.0, gui: bool = False) -> None:
         if gui and not _displayed():
@@ -74,17 +77,17 @@ class Bullet:
         )
         self._group(self._floor, FLOOR, ROBOT)
         bullet.changeDynamics(self._floor, -1, lateralFriction=FLOOR_FRICTION * friction, **self._own)
-        self._obstacles: dict[int, int] = {}  # PyBullet's number -> ours
+        self._obstacles: dict[int, int] = {}  # PyBullet's number -> the engine's number
         self._bodies: dict[int, int] = {}
-        self._numbers: list[int] = []  # PyBullet's, of bodies
+        self._numbers: list[int] = []  # PyBullet's numbers of bodies
 
     @property
     def client(self) -> int:
-        """PyBullet's number of it."""
+        """PyBullet's number of the client."""
         return self._client
 
     def obstacle(self, obstacle: Obstacle) -> int:
-        """Something that nothing moves; its number."""
+        """Add an obstacle, which nothing moves. Return its number."""
         kinds, own = self.bullet, self._own
         match obstacle:
             case Block(lo, hi):
@@ -113,7 +116,7 @@ class Bullet:
         self.bullet.resetBasePositionAndOrientation(number, moved, turn, **self._own)
 
     def body(self, solid: Solid) -> int:
-        """One that is not taken; its number."""
+        """Add a body, not yet under the engine's control. Return its number."""
         kinds, own = self.bullet, self._own
         x, y, z = solid.size
         if solid.round:
@@ -131,11 +134,11 @@ class Bullet:
         return len(self._bodies) - 1
 
     def number(self, body: int) -> int:
-        """PyBullet's of a body."""
+        """Return PyBullet's number of a body."""
         return self._numbers[body]
 
     def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """From now on a body moves here."""
+        """Take control of a body: the engine moves it from now on."""
         number = self._numbers[body]
         self._group(number, ROBOT, EVERYTHING)
         self.bullet.changeDynamics(
@@ -144,7 +147,7 @@ class Bullet:
         self.show(body, position, orientation)
 
     def release(self, body: int) -> None:
-        """From now on a body does not move here."""
+        """Give up control of a body: the engine no longer moves it."""
         number = self._numbers[body]
         self._group(number, NOTHING, NOTHING)
         self.bullet.resetBaseVelocity(number, (0, 0, 0), (0, 0, 0), **self._own)
@@ -154,24 +157,24 @@ class Bullet:
         self.bullet.changeDynamics(number, -1, activationState=self.bullet.ACTIVATION_STATE_SLEEP, **self._own)
 
     def show(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Put a body somewhere."""
+        """Set a body's pose."""
         self.bullet.resetBasePositionAndOrientation(self._numbers[body], position, orientation, **self._own)
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
-        """One step of the bodies that are taken, each with its velocity and its spin; how they moved."""
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
+        """Step the bodies under control with their velocities and spins. Return their new motions."""
         numbers = []
         for body, velocity, spin in taken:
             numbers.append(self._numbers[body])
             self.bullet.resetBaseVelocity(numbers[-1], velocity, spin, **self._own)
         self.bullet.stepSimulation(**self._own)
-        found: list[Moved] = []
+        found: list[BodyMotionTuple] = []
         for number in numbers:
             place = self.bullet.getBasePositionAndOrientation(number, **self._own)
             found.append((*place, *self.bullet.getBaseVelocity(number, **self._own)))
         return found
 
     def touched(self) -> Touched:
-        """In the last step; the floor does not count."""
+        """Return the contacts of the last step, except with the floor."""
         bodies, obstacles = set(), set()
         for point in self.bullet.getContactPoints(**self._own):
             a, b, distance = point[1], point[2], point[8]
@@ -186,7 +189,7 @@ class Bullet:
         return Touched(frozenset(bodies), frozenset(obstacles))
 
     def grounded(self, body: int) -> bool:
-        """Whether a body that is taken touches the floor."""
+        """Return whether a body under control touches the floor."""
         return bool(self.bullet.getContactPoints(self._numbers[body], self._floor, **self._own))
 
     def _group(self, number: int, group: int, mask: int) -> None:

@@ -1,9 +1,10 @@
-"""Simulated cars: a rigid body on four tyres, with a servo that is late and a motor that holds a speed.
+"""Simulated cars.
 
-Within what its tyres hold it follows the kinematic bicycle (S. M. LaValle, Planning Algorithms (2006), section
-13.1.2.1) exactly; beyond that it slides (`impulses`). Its wheels carry it without a contact engine as long as it stands
-on them and nothing is near. The reference point is the middle of the rear axle, on the floor.
-"""
+A rigid body on four tyres, a steering servo with delay, and a motor with speed control.
+
+Within the grip of its tyres, a car follows the kinematic bicycle (S. M. LaValle, Planning Algorithms (2006), section
+13.1.2.1) exactly; beyond it, it slides (`impulses`). While it stands on its wheels with nothing near, no contact engine
+is needed. The reference point is the middle of the rear axle, on the floor."""
 
 from __future__ import annotations
 
@@ -18,23 +19,25 @@ import numpy as np
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.contacts import Solid
 from targets.sim.physics.rigid import Array, Mask, yaws
-from targets.sim.physics.world import GRAVITY, STEP, Kind, Motion, World
+from targets.sim.physics.world import GRAVITY, STEP, BodyKind, BodyMotion, SimulatedWorld
 
-# What four tyres do to a car in one step: two axles, each held to where its wheels roll, by no more than friction.
+# Tyre model: impulses of two axles in one step, limited by friction.
 #
 # The wheels of each axle hold the body's velocity there to their own direction, and along it to their own speed. The
 # forces of both axles that do so within the step are found by projected Gauss-Seidel, each axle's kept within its
-# friction circle (Coulomb: friction times load; the load is half the weight, nothing is shifted by acceleration). So a
-# car within its limits follows the kinematic bicycle exactly, one that is too fast for its curve is pushed wide, and
-# one that brakes too hard slides. Sequential impulses: E. Catto, Iterative Dynamics with Temporal Coherence (2005).
+# friction circle (Coulomb: friction times load; the load is half the weight, acceleration does not shift it). So a car
+# within its limits follows the kinematic bicycle exactly, one that is too fast for its curve is pushed wide, and one
+# that brakes too hard slides. Sequential impulses: E. Catto, Iterative Dynamics with Temporal Coherence (2005).
 
-_ROUNDS = 6  # far more than needed: for a body like this the two axles hardly disturb each other
+_ROUNDS = 6  # more than enough: for a body like this the two axles hardly disturb each other
 
 
 @dataclass(frozen=True, slots=True)
 class Chassis:
-    """Mass (kg), inertia about the vertical (kg m^2), distance of each axle from the centre of mass (m), and the most
-    impulse (N s) that one axle's tyres give in one step."""
+    """Constants of a car's tyre model.
+
+    Mass (kg), inertia about the vertical (kg m^2), distance of each axle from the centre of mass (m), largest impulse
+    (N s) of one axle's tyres in one step."""
 
     mass: float
     inertia: float
@@ -45,19 +48,22 @@ class Chassis:
 def impulses(
     chassis: Chassis, velocity: tuple[float, float], spin: float, speed: float, steering: float
 ) -> tuple[float, float, float]:
-    """Impulses of one step in the body's frame: forward, to the left (N s), and about the vertical (N m s).
-    `velocity` is that of the centre of mass, forward and to the left (m/s), `spin` in rad/s; `speed` is that of the
-    rear wheels (m/s), `steering` the front wheels' angle (rad, positive to the left). All wheels are driven."""
+    """Return the tyres' impulses of one step in the body frame.
+
+    Forward and left in N s, about the vertical in N m s.
+
+    `velocity` of the centre of mass, forward and left (m/s); `spin` in rad/s; `speed` of the rear wheels (m/s);
+    `steering` of the front wheels (rad, positive to the left). All wheels are driven."""
     u, w = velocity
     m, inertia, reach = chassis.mass, chassis.inertia, chassis.reach
     cos, sin = math.cos(steering), math.sin(steering)
-    # Axle by axle: its lever arm, the direction its wheels roll in, their speed.
+    # For each axle: lever arm, rolling direction, wheel speed.
     axles = ((-reach, 1.0, 0.0, speed), (reach, cos, sin, speed / cos))
     along, across = [0.0, 0.0], [0.0, 0.0]
     for _ in range(_ROUNDS):
         for k, (arm, dx, dy, rolling) in enumerate(axles):
             old = along[k], across[k]
-            # Half the error along is this axle's part, or both would mend it.
+            # Each axle takes half of the longitudinal error, or both would correct it twice.
             slip = rolling - (u * dx + (w + spin * arm) * dy)
             along[k] += 0.5 * slip / (1.0 / m + (arm * dy) ** 2 / inertia)
             slide = u * -dy + (w + spin * arm) * dx
@@ -73,50 +79,51 @@ def impulses(
 
 
 MASS = 3.5  # kg
-OVERHANG, WIDTH, HEIGHT = 0.17, 0.28, 0.14  # m; the body is longer than its wheelbase by OVERHANG
+OVERHANG, WIDTH, HEIGHT = 0.17, 0.28, 0.14  # m; a body is longer than its wheelbase by OVERHANG
 MAX_SPEED = 10.0  # m/s
-MAX_ACCELERATION = 6.0  # m/s^2, of the wheels by the motor
+MAX_ACCELERATION = 6.0  # m/s^2, of the wheels, by the motor
 STEERING_LAG, MAX_STEERING_RATE = 0.05, 4.0  # s, rad/s
-UPRIGHT = 0.8  # cosine of the tilt beyond which wheels have left the floor
+UPRIGHT = 0.8  # cosine of the tilt beyond which the wheels have left the floor
 LIFTED = 0.03  # m
-# What a car that stands on the floor may be off: m, square of half the tilt, m/s, rad/s.
+# Tolerances for a car that stands on the floor: m, square of half the tilt, m/s, rad/s.
 _OFF, _TILTED, _RISING, _TIPPING = 0.003, 1e-4, 0.05, 0.1
-_SUSPENSION, _HOP = 20.0, 0.3  # 1/s: how fast it comes back; m/s: faster upwards wheels leave the floor
+_SUSPENSION, _HOP = 20.0, 0.3  # suspension's rate (1/s); climb speed above which the wheels leave the floor (m/s)
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
-    """How a car runs: the friction of its tyres (of the weight), the seconds until its servo begins to follow, and the
-    time constant with which its motor's speed loop does."""
+class CarDynamics:
+    """Dynamics of a car.
+
+    Tyre friction (of the weight), servo delay (s), time constant of the speed loop (s)."""
 
     friction: float = 0.9
     steering_delay: float = 0.02
     speed_lag: float = 0.15
 
     @staticmethod
-    def of(harness: Mapping[str, Any]) -> Running:
-        """As the sim target's settings say."""
-        return Running(
+    def of(harness: Mapping[str, Any]) -> CarDynamics:
+        """Read the settings of the sim target."""
+        return CarDynamics(
             float(harness.get("tyre_friction", USUAL.friction)),
             float(harness.get("steering_delay", USUAL.steering_delay)),
             float(harness.get("speed_lag", USUAL.speed_lag)),
         )
 
 
-USUAL = Running()
+USUAL = CarDynamics()
 
 
-class RollingKind(Kind):
-    """What cars of both fidelities share: where they stand, and where they do not."""
+class RollingKind(BodyKind):
+    """Kind of body on wheels: contact with the floor for cars of both fidelities."""
 
     rolling = True
 
     def __init__(self) -> None:
         super().__init__()
-        self.ahead = np.zeros(0)  # m from the rear axle to the centre of mass
+        self.ahead = np.zeros(0)  # m, from the rear axle to the centre of mass
 
     def steady(self) -> Mask:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         x, y = now.orientation[:2]
         level = (np.abs(now.position[2] - HEIGHT / 2) < _OFF) & (x * x + y * y < _TILTED)
@@ -124,8 +131,10 @@ class RollingKind(Kind):
         return found
 
     def carry(self, taken: Mask) -> Mask:
-        """What the floor does to them by their wheels; which of all have these on the floor. A suspension holds those
-        level, without an engine's contacts: on PyBullet's floor a box that slides sinks in and shakes."""
+        """Apply the floor's force on the wheels. Return which cars have their wheels on the floor.
+
+        A suspension holds those cars level without an engine's contacts: on PyBullet's floor a sliding box sinks in and
+        shakes. `taken`: cars under the contact engine's control."""
         now = self.motions
         if not taken.any():
             now.velocity[2] = now.spin[0] = now.spin[1] = 0.0
@@ -140,7 +149,7 @@ class RollingKind(Kind):
         return down
 
     def place(self) -> tuple[Array, Array, Array]:
-        """See Kind."""
+        """See BodyKind."""
         now, yaw = self.motions, yaws(self.motions.orientation)
         ahead = np.empty((2, self.count))
         np.cos(yaw, out=ahead[0])
@@ -155,21 +164,21 @@ class RollingKind(Kind):
 
 
 class Cars(RollingKind):
-    """All cars of a world. Their tyres are computed one car after the other: there are few."""
+    """All cars of a world. Tyres are computed car by car, for there are few cars."""
 
     def __init__(self) -> None:
         super().__init__()
         self.each: list[SimulatedCar] = []
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.ahead = np.append(self.ahead, 0.0)
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         down = self.carry(taken).tolist()
-        # The heading in the middle of the step; with that at its beginning, every curve would drift outwards.
+        # Heading in the middle of the step. The heading at its beginning would let every curve drift outwards.
         yaw = (yaws(now.orientation) + now.spin[2] * (STEP / 2)).tolist()
         told = zip(self.each, down, yaw, now.velocity[:2].T.tolist(), now.spin[2].tolist(), strict=True)
         for k, (car, stands, heading, velocity, spin) in enumerate(told):
@@ -179,7 +188,9 @@ class Cars(RollingKind):
 
 
 def solid(wheelbase: float, stiff: bool = False) -> Solid:
-    """A car's body. It has no friction: the tyres' forces are computed here. A `stiff` one never tips over."""
+    """Return a car's body. Its friction is 0, for the tyre model computes it.
+
+    A `stiff` body never tips over."""
     x, y, z = size = (wheelbase + OVERHANG, WIDTH, HEIGHT)
     tipping = 1000.0 if stiff else 1.0
     about = [MASS / 12 * (a * a + b * b) for a, b in ((y, z), (x, z), (x, y))]
@@ -187,21 +198,21 @@ def solid(wheelbase: float, stiff: bool = False) -> Solid:
 
 
 def centre(start: Vector, yaw: float, ahead: float) -> Vector:
-    """Where the centre of mass is when the reference point is at `start`."""
+    """Return the centre of mass when the reference point is at `start`."""
     return start[0] + ahead * math.cos(yaw), start[1] + ahead * math.sin(yaw), start[2] + HEIGHT / 2
 
 
 class SimulatedCar:
-    """One of them: implements `bodies.Car`."""
+    """One car of `Cars`. Implements `bodies.Car`."""
 
     def __init__(
         self,
-        world: World,
+        world: SimulatedWorld,
         start: Vector,
         yaw: float,
         wheelbase: float,
         max_steering: float,
-        running: Running = USUAL,
+        running: CarDynamics = USUAL,
     ) -> None:
         ahead, shape = wheelbase / 2, solid(wheelbase)
         every, self.rigid = world.add(Cars, shape, centre(start, yaw, ahead), yaw)
@@ -213,17 +224,18 @@ class SimulatedCar:
         self.wheelbase = wheelbase
         self._max_steering = max_steering
         self._asked = 0.0
-        self._braking = 0.0  # m/s^2 of the wheels; 0: the motor holds the speed that was asked for
-        self._turns = deque([0.0] * (1 + round(running.steering_delay / STEP)))  # asked for, the oldest first
-        self._angle = 0.0  # asked for last
+        self._braking = 0.0  # m/s^2 of the wheels; 0: the motor holds the commanded speed
+        # delayed steering commands, the oldest first
+        self._turns = deque([0.0] * (1 + round(running.steering_delay / STEP)))
+        self._angle = 0.0  # last steering command
         self._speed = 0.0  # of the wheels
         self._steering = 0.0
 
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
-        """Of its centre of mass."""
+    def motion(self) -> BodyMotion:
+        """Return the motion of the centre of mass."""
         return self.rigid.motion()
 
     def drive(self, speed: float, steering: float) -> None:
@@ -238,17 +250,17 @@ class SimulatedCar:
         self._braking = max(0.0, deceleration)
 
     def follow(self) -> None:
-        """One step of motor and servo."""
+        """Step the motor and the servo."""
         if self._braking > 0.0:
             slower = min(abs(self._speed), self._braking * STEP)
             self._speed -= math.copysign(slower, self._speed)
         else:
-            self._speed = _follow(self._speed, self._asked, self._running.speed_lag, MAX_ACCELERATION)
+            self._speed = _step_lag(self._speed, self._asked, self._running.speed_lag, MAX_ACCELERATION)
         self._turns.append(self._angle)
-        self._steering = _follow(self._steering, self._turns.popleft(), STEERING_LAG, MAX_STEERING_RATE)
+        self._steering = _step_lag(self._steering, self._turns.popleft(), STEERING_LAG, MAX_STEERING_RATE)
 
     def rolled(self, yaw: float, velocity: list[float], spin: float) -> tuple[float, float, float]:
-        """Horizontal velocity (world's frame) and spin after what the tyres do in one step."""
+        """Return horizontal velocity (world frame) and spin after the tyres' impulses of one step."""
         cos, sin = math.cos(yaw), math.sin(yaw)
         vx, vy = velocity
         inwards = (vx * cos + vy * sin, vy * cos - vx * sin)
@@ -258,7 +270,7 @@ class SimulatedCar:
         return vx + gained[0], vy + gained[1], spin + turn / chassis.inertia
 
 
-def _follow(value: float, asked: float, lag: float, most: float) -> float:
-    """First-order lag with a limit on the rate, one step on."""
+def _step_lag(value: float, asked: float, lag: float, most: float) -> float:
+    """Step a first-order lag with a limited rate."""
     rate = (asked - value) / lag
     return value + max(-most, min(most, rate)) * STEP

@@ -1,9 +1,8 @@
-"""Contact engines: the interface of PyBullet (bullet.py) and MuJoCo (mujoco_engine.py), and the choice between them.
+"""Contact engines: common interface of PyBullet and MuJoCo, and the choice between them.
 
-An engine moves only the bodies that were taken. In each step it gets their velocities, in which all forces but those of
-contacts already are; so there is no gravity in an engine. The friction of two surfaces is the product of theirs.
-Lengths are in metres, masses in kg, in the world's frame (ENU). Quaternions are (x, y, z, w).
-"""
+An engine moves only the bodies under its control (`take`). In each step it receives their velocities, which already
+include all forces but contacts; so there is no gravity in an engine. The friction of two surfaces is the product of
+theirs. Lengths are in metres, masses in kg, in the world frame (ENU). Quaternions are (x, y, z, w)."""
 
 from __future__ import annotations
 
@@ -18,20 +17,20 @@ from koordgen.runtime.values.obstacles import Obstacle
 from targets.sim.base.bodies import Vector
 from targets.sim.base.scenario import AUTO, MUJOCO, PACKAGES, PYBULLET
 
-TOUCHING = 1e-3  # m; surfaces that are so near touch
-FLOOR_FRICTION = 0.5  # of a floor of friction 1
-OBSTACLE_FRICTION = 0.5  # what PyBullet gives to all that says nothing else
+TOUCHING = 1e-3  # m; surfaces this close touch
+FLOOR_FRICTION = 0.5  # of a floor with friction 1
+OBSTACLE_FRICTION = 0.5  # PyBullet's default
 
 Quaternion = tuple[float, float, float, float]
-Moved = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
+BodyMotionTuple = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
 
 
 class NoWindow(OSError):
-    """A window was asked for, and there is no display or the engine has none."""
+    """A window was requested, but there is no display or the engine has no window."""
 
 
 class NoEngine(Exception):
-    """The engine that is wanted is not installed; `hint` says what to do."""
+    """The requested engine is not installed; `hint` says how to install it."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -40,8 +39,9 @@ class NoEngine(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """The shape of a body: a box of edges `size`, or, if `round`, an upright cylinder in that box (m); mass (kg),
-    inertia about its own axes (kg m^2), friction."""
+    """Shape of a body: a box with edges `size` (m), or with `round` an upright cylinder in that box.
+
+    Mass (kg), inertia about its own axes (kg m^2), friction."""
 
     size: Vector
     mass: float
@@ -51,7 +51,7 @@ class Solid:
 
     @property
     def reach(self) -> float:
-        """The radius of the sphere about its centre that it never leaves (m)."""
+        """Radius of the bounding sphere about the centre (m)."""
         x, y, z = self.size
         across = x if self.round else (x * x + y * y) ** 0.5
         return float((across * across + z * z) ** 0.5 / 2)
@@ -66,8 +66,10 @@ class Touched:
 
 
 class Engine(Protocol):
-    """A floor at z = 0, obstacles and bodies. Obstacles and bodies are numbered from 0, each in the order in which they
-    were added. The same calls give the same motion to the last bit."""
+    """A floor at z = 0, obstacles and bodies.
+
+    Obstacles and bodies are numbered from 0, each in the order of creation. The same calls give the same motion to the
+    last bit."""
 
     @property
     def shown(self) -> bool:
@@ -79,36 +81,37 @@ class Engine(Protocol):
         ...
 
     def move(self, obstacle: int, by: Vector) -> None:
-        """Move an obstacle by a vector, at once: it does not push what it passes."""
+        """Move an obstacle by a vector at once: it does not push bodies."""
         ...
 
     def body(self, solid: Solid) -> int:
-        """Add a body that is not taken; return its number."""
+        """Add a body, not yet under the engine's control; return its number."""
         ...
 
     def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Let the engine move a body from now on, from this pose."""
+        """Take control of a body, from this pose on."""
         ...
 
     def release(self, body: int) -> None:
-        """Let the engine no longer move a body: it touches nothing."""
+        """Give up control of a body: it touches nothing."""
         ...
 
     def show(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Show a body that is not taken at this pose."""
+        """Show a body outside the engine's control at this pose."""
         ...
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
-        """Move all bodies that are taken by one step, each with its velocity (m/s) and its spin (rad/s); return the new
-        motion of each, in the same order."""
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
+        """Step all bodies under control, each with its velocity (m/s) and spin (rad/s).
+
+        Returns the new motion of each, in the same order."""
         ...
 
     def touched(self) -> Touched:
-        """Return the contacts of the last step, without those with the floor."""
+        """Return the contacts of the last step, except with the floor."""
         ...
 
     def grounded(self, body: int) -> bool:
-        """Return whether a body that is taken touches the floor."""
+        """Return whether a body under control touches the floor."""
         ...
 
     def close(self) -> None:
@@ -117,8 +120,11 @@ class Engine(Protocol):
 
 
 def choose(wanted: str = AUTO) -> str:
-    """Return the engine to use: the wanted one, a key of PACKAGES. For AUTO that is PyBullet where it is installed,
-    else MuJoCo. Raises NoEngine."""
+    """Return the engine to use, a key of PACKAGES.
+
+    The wanted one, or for AUTO an installed one, PyBullet first.
+
+    Raises NoEngine."""
     if wanted == AUTO:
         found = next(filter(is_installed, PACKAGES), None)
         if found is None:
@@ -131,7 +137,7 @@ def choose(wanted: str = AUTO) -> str:
         hint = _install(wanted)
         if wanted == PYBULLET and not _has_wheel():
             here = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {platform.machine()}"
-            hint = f"PyBullet has no wheel for {here}; say `sim: {{engine: mujoco}}` in the fleet file"
+            hint = f"PyBullet has no wheel for {here}; set `sim: {{engine: mujoco}}` in the fleet file"
         raise NoEngine(f"the engine is {wanted}, and the Python package {PACKAGES[wanted]!r} is missing", hint)
     return wanted
 
@@ -142,7 +148,7 @@ def is_installed(engine: str) -> bool:
 
 
 def _has_wheel() -> bool:
-    """Whether pip finds a built PyBullet for this Python, as the markers in pyproject.toml say."""
+    """Return whether pip finds a built PyBullet for this Python, as the markers in pyproject.toml say."""
     return sys.version_info < (3, 12) and platform.machine() == "x86_64"
 
 

@@ -1,4 +1,6 @@
-"""Making of a contact engine: PyBullet (bullet.py) or MuJoCo (mujoco_engine.py), each imported only when chosen."""
+"""Factory of contact engines.
+
+PyBullet (bullet.py) or MuJoCo (mujoco_engine.py), each imported only when chosen."""
 
 from __future__ import annotations
 
@@ -7,8 +9,9 @@ from targets.sim.physics.contacts import Engine, choose
 
 
 def make(wanted: str, step: float, friction: float = 1.0, gui: bool = False) -> Engine:
-    """Return a new engine with steps of `step` seconds. `friction` multiplies that of the floor. Raises NoEngine and
-    NoWindow."""
+    """Return a new engine with steps of `step` seconds. `friction` multiplies that of the floor.
+
+    Raises NoEngine and NoWindow."""
     if choose(wanted) == PYBULLET:
         from targets.sim.physics.bullet import Bullet
 

@@ -1,16 +1,15 @@
-"""MuJoCo as contact engine (see contacts.py). The only module that knows mujoco.
+"""Contact engine MuJoCo (see contacts.py). The only module that imports mujoco.
 
-MuJoCo compiles a model before the first step, and anew when a body or an obstacle was added. Two of its rules are not
-ours:
+MuJoCo compiles a model before the first step, and again after a body or an obstacle was added. Two of its rules differ
+from this simulator's:
 - A mesh collides as its convex hull. Here each triangle is a mesh of its own, a prism of THICKNESS, so that an arch can
   be flown through. A mesh stays a surface even if it is convex: a room can be one.
 - Friction of two geoms is the larger one. Here the friction of each pair is set: floor and body, and body and body, are
   explicit pairs. Obstacles are too many for that; a body's geom has the higher priority, so its friction counts there,
   and that is the product with an obstacle's.
 
-Contacts are soft in MuJoCo. Here damping takes all velocity into a surface within one step, and stiffness brings a body
-out of a surface by ERP of the depth in each step: slowly enough that nothing bounces.
-"""
+Contacts are soft in MuJoCo. Here damping removes the whole velocity into a surface within one step, and stiffness moves
+a body out of a surface by ERP of the depth in each step: slowly enough that nothing bounces."""
 
 from __future__ import annotations
 
@@ -23,38 +22,46 @@ import numpy as np
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import Vector
-from targets.sim.physics.contacts import FLOOR_FRICTION, OBSTACLE_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
+from targets.sim.physics.contacts import (
+    FLOOR_FRICTION,
+    OBSTACLE_FRICTION,
+    TOUCHING,
+    BodyMotionTuple,
+    NoWindow,
+    Solid,
+    Touched,
+)
 from targets.sim.physics.rigid import Array, rotations
 
 THICKNESS = 5e-4  # m, of a mesh's surface
-NARROWEST = 1e-5  # m; of a narrower triangle MuJoCo can make no body, and its neighbours leave no gap to speak of
-ERP = 0.02  # of the depth, in each step
+NARROWEST = 1e-5  # m; MuJoCo cannot make a body of a narrower triangle, and its neighbours leave no relevant gap
+ERP = 0.02  # share of the depth, in each step
 IMPEDANCE = (0.999, 0.999, 0.001, 0.5, 2.0)  # the same at all depths
-FRICTION_BY_NORMAL = 10.0  # impedance of friction, by that of the normal direction: bodies at rest do not creep
+FRICTION_BY_NORMAL = 10.0  # impedance of friction relative to the normal direction: bodies at rest do not creep
 SLIDING = 1.5  # see Mujoco._limit_friction
 TINY = 1e-12  # m/s^2
 OBSTACLES = 1  # collision bit
-PARKED = 1e4  # m above the floor, and between neighbours: bodies that are not taken wait there and touch nothing
+PARKED = 1e4  # m above the floor, and between neighbours: position of bodies outside the engine's control
 
 
 class Mujoco:
-    """One model and its state: implements contacts.Engine. Raises NoWindow."""
+    """One MuJoCo model with its state. Implements contacts.Engine. Raises NoWindow."""
 
     shown = False
 
     def __init__(self, step: float, friction: float = 1.0, gui: bool = False) -> None:
         if gui:
-            raise NoWindow("the engine mujoco has no window here; watch the run on a page: give --live, not --gui")
+            raise NoWindow("the engine mujoco has no window; use --live instead of --gui to watch the run in a browser")
         self._spec = _specification(step)
         self._solref = (-ERP / step**2, -1 / step)
         self._floor = FLOOR_FRICTION * friction
         self._solids: list[Solid] = []
-        self._obstacles: list[str] = []  # the number of geoms' obstacles, by their name
-        self._many = 0  # obstacles
-        self._model: Any = None  # none: it is to be compiled
+        self._obstacles: list[str] = []  # obstacle numbers by geom name
+        self._many = 0  # number of obstacles
+        self._model: Any = None  # None: compile before the next use
         self._data: Any = None
-        self._poses: Array = np.zeros((0, 7))  # of bodies: position, and orientation (w, x, y, z)
-        self._speeds: Array = np.zeros((0, 6))  # velocity in the world's frame, and spin in the body's
+        self._poses: Array = np.zeros((0, 7))  # of bodies: position and orientation (w, x, y, z)
+        self._speeds: Array = np.zeros((0, 6))  # velocity in the world frame, and spin in the body frame
         self._owners: list[tuple[int, int]] = []  # by geom: body and obstacle, -1 for none
 
     def obstacle(self, obstacle: Obstacle) -> int:
@@ -77,7 +84,7 @@ class Mujoco:
         for geom in self._spec.geoms:
             if _owner(geom.name) == (-1, obstacle):
                 geom.pos = np.add(geom.pos, by)
-        self._model = None  # the world's own geoms have their places from the model's compilation
+        self._model = None  # geoms of the world get their positions at compilation
 
     def body(self, solid: Solid) -> int:
         """See contacts.Engine."""
@@ -86,7 +93,8 @@ class Mujoco:
         kinds = mujoco.mjtGeom
         body = self._spec.worldbody.add_body(
             pos=_parked(number), explicitinertial=True, mass=solid.mass, ipos=(0.0, 0.0, 0.0),
-            inertia=(solid.mass * solid.reach**2,) * 3,  # _compile sets the right ones, which may be no real body's
+            # _compile sets the real inertia, which MuJoCo's checks may refuse here
+            inertia=(solid.mass * solid.reach**2,) * 3,
         )  # fmt: skip
         body.add_freejoint()
         body.add_geom(
@@ -102,7 +110,7 @@ class Mujoco:
         return number
 
     def _surface(self, friction: float, values: int) -> dict[str, Any]:
-        """The contact parameters of a geom or of a pair, which has so many values of friction."""
+        """Return contact parameters of a geom (3 friction `values`) or of a pair (5)."""
         slides = (friction, friction, 0.0, 0.0, 0.0) if values == 5 else (friction, 0.0, 0.0)
         return {
             "condim": 3 if friction > 0 else 1, "friction": slides, "solref": self._solref, "solimp": IMPEDANCE,
@@ -113,7 +121,7 @@ class Mujoco:
         self._spec.add_pair(geomname1=other, geomname2=f"body {body}", **self._surface(friction, 5))
 
     def _compile(self) -> None:
-        """Make the model of all that was added; bodies stay where they are."""
+        """Compile the model. Bodies keep their poses."""
         poses = self._poses.copy()
         self._model = mujoco_model = self._spec.compile()
         mujoco_model.body_inertia[1:] = [solid.inertia for solid in self._solids]
@@ -138,9 +146,9 @@ class Mujoco:
         self._speeds[body] = 0.0
 
     def show(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """See contacts.Engine: there is no window."""
+        """Do nothing: there is no window. See contacts.Engine."""
 
-    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[Moved]:
+    def step(self, taken: Iterable[tuple[int, Sequence[float], Sequence[float]]]) -> list[BodyMotionTuple]:
         """See contacts.Engine. Raises RuntimeError with MuJoCo's warning if it could not compute the step."""
         if self._model is None:
             self._compile()
@@ -164,12 +172,15 @@ class Mujoco:
         return [tuple(map(tuple, each)) for each in zip(*parts, strict=True)]  # type: ignore[misc]
 
     def _limit_friction(self) -> None:
-        """Make friction Coulomb's. MuJoCo's contact problem is convex, so a body that slides is lifted: by the friction
-        coefficient times what friction is asked for over what it can give (M. Anitescu, Optimization-based simulation
-        of nonsmooth rigid multibody dynamics, Mathematical Programming 105, 2006). Here friction is asked for SLIDING
-        times what it can give at most, and the surface for so much less as that lifts. A body that friction can hold
-        does not creep: there friction is asked for all of the velocity."""
-        contact, wanted = self._data.contact, self._data.efc_aref  # wanted accelerations: normal, and two of friction
+        """Limit friction as Coulomb's law does.
+
+        MuJoCo's contact problem is convex, so a sliding body is lifted: by the friction coefficient times the ratio of
+        requested to available friction (M. Anitescu, Optimization-based simulation of nonsmooth rigid multibody
+        dynamics, Mathematical Programming 105, 2006). Here the requested friction is limited to SLIDING times the
+        available one, and the surface's request is reduced by that lift. A body that friction can hold does not creep:
+        its whole velocity is requested."""
+        # requested accelerations: normal, and two of friction
+        contact, wanted = self._data.contact, self._data.efc_aref
         rough = (contact.dim == 3) & (contact.efc_address >= 0)
         if not rough.any():
             return
@@ -197,7 +208,7 @@ class Mujoco:
         return any({_FLOOR, (body, -1)} == pair for pair in pairs)
 
     def _contacts(self) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-        """The owners of the two geoms of each contact; a contact may be there several times."""
+        """Yield the owners of the two geoms of each contact. A contact may occur several times."""
         if self._data is not None:
             for one, other in self._data.contact.geom.tolist():
                 yield self._owners[one], self._owners[other]
@@ -209,23 +220,24 @@ class Mujoco:
 
 _FLOOR = (-1, -1)
 _warnings: list[str] = []
-mujoco.set_mju_user_warning(_warnings.append)  # else they go to a file in the working directory
+mujoco.set_mju_user_warning(_warnings.append)  # otherwise warnings go to a file in the working directory
 
 
 def _owner(name: str) -> tuple[int, int]:
-    """The body and the obstacle of a geom of that name, -1 for none."""
+    """Return the body and the obstacle of a geom of that name, -1 for none."""
     kind, *numbers = name.split()
     return (int(numbers[0]), -1) if kind == "body" else (-1, int(numbers[0])) if kind == "obstacle" else _FLOOR
 
 
 def _specification(step: float) -> Any:
-    """A floor, without gravity."""
+    """Return a specification with a floor and without gravity."""
     spec = mujoco.MjSpec()
     option = spec.option
     option.timestep, option.gravity = step, (0.0, 0.0, 0.0)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, FRICTION_BY_NORMAL
     option.enableflags |= mujoco.mjtEnableBit.mjENBL_DIAGEXACT
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # which would put bodies back where they began
+    # an automatic reset would put bodies back to their start
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.0, 1.0, 1.0), contype=0, conaffinity=0
     )
@@ -237,7 +249,7 @@ def _parked(body: int) -> tuple[float, float, float]:
 
 
 def _shapes(obstacle: Obstacle) -> Iterator[dict[str, Any]]:
-    """The geoms of an obstacle: their type, size and place, or the vertices of a convex mesh."""
+    """Yield the geoms of an obstacle: type, size and position, or the vertices of a convex mesh."""
     kinds = mujoco.mjtGeom
     match obstacle:
         case Block(lo, hi):
@@ -257,7 +269,7 @@ def _shapes(obstacle: Obstacle) -> Iterator[dict[str, Any]]:
 
 
 def _prism(triangle: Array) -> Array | None:
-    """The six corners of a triangle that is THICKNESS thick, half to each side; None: it is too narrow."""
+    """Return the six corners of a triangle of THICKNESS, half to each side; None if it is too narrow."""
     across = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
     twice_area = float(np.linalg.norm(across))
     longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))

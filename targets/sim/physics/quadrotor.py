@@ -1,10 +1,9 @@
-"""Simulated quadrotors: four motors on a rigid body, with an attitude loop of its own.
+"""Simulated quadrotors: four motors on a rigid body, with an attitude loop of their own.
 
-A motor's thrust grows with the square of its speed, which follows what is asked for with a lag; the four thrusts, the
-torques of their levers and the drag of their propellers move the body. So it accelerates sideways only by tilting, and
-that takes time. Model: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE Robotics & Automation Magazine
-19(3), 2012. The reference point is the middle between the feet: z = 0 is standing on the floor.
-"""
+A motor's thrust grows with the square of its speed, which follows its command with a lag. The four thrusts, their
+torques and the drag of the propellers move the body. So it accelerates sideways only by tilting, which takes time.
+Model: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE Robotics & Automation Magazine 19(3), 2012. The
+reference point is the middle between the feet: at z = 0 the body stands on the floor."""
 
 from __future__ import annotations
 
@@ -15,28 +14,28 @@ import numpy as np
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.contacts import Solid
 from targets.sim.physics.rigid import Array, Mask, rotations, total, yaws
-from targets.sim.physics.world import GRAVITY, STEP, Kind, Motion, World
+from targets.sim.physics.world import GRAVITY, STEP, BodyKind, BodyMotion, SimulatedWorld
 
 MASS = 1.4  # kg
 RADIUS, HEIGHT = 0.18, 0.12  # m, of a cylinder with the propellers in it
 INERTIA = (0.015, 0.015, 0.025)  # kg m^2, about the body's axes
 LEVER = 0.1  # m from each motor to the body's x axis, and to its y axis
-DRAG_TORQUE = 0.016  # m: a propeller's torque by its thrust
-MAX_TILT = 0.6  # rad, asked for
-MAX_CLIMB, MAX_SINK = 0.8 * GRAVITY, 0.6 * GRAVITY  # m/s^2, vertical acceleration asked for
+DRAG_TORQUE = 0.016  # m: a propeller's torque divided by its thrust
+MAX_TILT = 0.6  # rad, largest commanded tilt
+MAX_CLIMB, MAX_SINK = 0.8 * GRAVITY, 0.6 * GRAVITY  # m/s^2, largest commanded vertical acceleration
 MAX_THRUST = 2.2 * MASS * GRAVITY  # N, of all four motors
 MAX_YAW_RATE = 2.0  # rad/s
-TILT_GAIN = 10.0  # rad/s of tilting per rad of error: the attitude lag's inverse
+TILT_GAIN = 10.0  # rad/s of tilting per rad of error: the inverse of the attitude's time constant
 RATE_GAIN, YAW_RATE_GAIN = 20.0, 5.0  # 1/s
-MAX_TORQUE = (1.0, 1.0, 0.1)  # N m asked for
+MAX_TORQUE = (1.0, 1.0, 0.1)  # N m, largest commanded torques
 MOTOR_LAG = 0.02  # s
-# 1/s: deceleration by air per speed. That of the rotors' stream: 0.2 sqrt(thrust x air's density x disc area) / mass
-# of the quadrotor that ArduPilot's own simulation flies (libraries/SITL/SIM_Frame: 3 kg, 0.385 m^2).
+# 1/s: deceleration by air per speed, due to the rotors' stream: 0.2 sqrt(thrust x air density x disc area) / mass of
+# the quadrotor in ArduPilot's own simulation (libraries/SITL/SIM_Frame: 3 kg, 0.385 m^2).
 DRAG = 0.25
 
 SOLID = Solid((2 * RADIUS, 2 * RADIUS, HEIGHT), MASS, INERTIA, friction=0.8, round=True)
-# Thrust and torques about the body's axes (forward, left, up) of unit thrusts of the motors: front left, rear left,
-# rear right, front right; the first turns clockwise, its neighbours do not.
+# Mixer: thrust and torques about the body axes (forward, left, up) of unit thrusts of the motors front left, rear left,
+# rear right, front right. The first motor turns clockwise, its neighbours counter-clockwise.
 _MIX = np.array(
     [
         [1.0, 1.0, 1.0, 1.0],
@@ -46,38 +45,39 @@ _MIX = np.array(
     ]
 )
 _PER_STEP = np.array([STEP / MASS, *(STEP / i for i in INERTIA)])[:, None]
-_GIVEN = _MIX * (MAX_THRUST / 4) * _PER_STEP  # what motors at full speed add to velocity and spin in one step
+_GIVEN = _MIX * (MAX_THRUST / 4) * _PER_STEP  # velocity and spin that motors at full speed add in one step
 _WANTED = np.linalg.inv(_MIX * (MAX_THRUST / 4))
 _FOLLOWED = 1.0 - math.exp(-STEP / MOTOR_LAG)
 _GAINS = (np.array(INERTIA) * (RATE_GAIN, RATE_GAIN, YAW_RATE_GAIN))[:, None]
 _GYROSCOPIC = STEP * np.array([(INERTIA[1] - INERTIA[2]) / INERTIA[0], (INERTIA[2] - INERTIA[0]) / INERTIA[1]])[:, None]
 _LEAST = np.array([0.0, *(-t for t in MAX_TORQUE)])[:, None]
 _MOST = np.array([MAX_THRUST, *MAX_TORQUE])[:, None]
-# Of what is asked for.
+# Limits of the commands.
 _LOWEST = np.array([-math.inf, -math.inf, -MAX_SINK, -MAX_YAW_RATE])[:, None]
 _HIGHEST = np.array([math.inf, math.inf, MAX_CLIMB, MAX_YAW_RATE])[:, None]
 _FEET = np.array([0.0, 0.0, HEIGHT / 2])[:, None]
 
 
-class Quadrotors(Kind):
+class Quadrotors(BodyKind):
     """All quadrotors of a world."""
 
     def __init__(self) -> None:
         super().__init__()
-        # m/s^2 and rad/s: a list, because writing one number into an array costs more than making it in each step.
+        # Commands in m/s^2 and rad/s. A list: writing single numbers into an array costs more than building it at each
+        # step.
         self.asked: list[tuple[float, float, float, float]] = []
-        self.running = np.zeros(0)  # 1: its motors run
-        self.motors = np.zeros((4, 0))  # speeds, of the highest
-        self.direct: dict[int, tuple[float, float, float, float]] = {}  # thrusts that nobody asks the attitude loop for
+        self.running = np.zeros(0)  # 1 if its motors run
+        self.motors = np.zeros((4, 0))  # motor speeds, as shares of the highest
+        self.direct: dict[int, tuple[float, float, float, float]] = {}  # thrusts that bypass the attitude loop
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.asked.append((0.0, 0.0, 0.0, 0.0))
         self.running = np.append(self.running, 0.0)
         self.motors = np.column_stack((self.motors, np.zeros(4)))
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         turned = rotations(now.orientation)
         spin = total(turned * now.spin[:, None])  # in the body's frame
@@ -88,7 +88,7 @@ class Quadrotors(Kind):
         self.motors += speeds
         given = _GIVEN @ (self.motors * self.motors)
         gained = given[1:]
-        gained[:2] += _GYROSCOPIC * spin[1::-1] * (spin[2] * ~taken)  # contact engines have this term of their own
+        gained[:2] += _GYROSCOPIC * spin[1::-1] * (spin[2] * ~taken)  # contact engines add this term themselves
         fallen, spun = now.velocity, now.spin
         spun += total(turned * gained, 1)
         fallen -= (fallen if air is None else fallen - air) * (DRAG * STEP)
@@ -96,8 +96,9 @@ class Quadrotors(Kind):
         fallen[2] -= GRAVITY * STEP
 
     def _thrusts(self, turned: Array, spin: Array) -> Array:
-        """What the attitude loop wants of each motor, as a share of its most: a rate of tilting proportional to the
-        error, held by a faster loop."""
+        """Return the thrusts that the attitude loop commands, as shares of each motor's maximum.
+
+        Cascaded control: the tilt rate is proportional to the tilt error, and a faster loop controls the rate."""
         asked = np.minimum(np.maximum(np.array(self.asked).T, _LOWEST), _HIGHEST)
         lift = _lift(asked[:3])
         along = total(turned * lift[:, None])  # in the body's frame
@@ -112,7 +113,7 @@ class Quadrotors(Kind):
         torques *= _GAINS
         np.minimum(np.maximum(wanted, _LEAST, out=wanted), _MOST, out=wanted)
         found: Array = _WANTED[:, 1:] @ torques
-        # Attitude first: the thrust of all gives way as long as that keeps motors from their ends.
+        # Attitude has priority: reduce the common thrust as long as that keeps motors from saturation.
         common = wanted[0] * _WANTED[0, 0]
         np.minimum(common, 1.0 - np.maximum.reduce(found), out=common)
         np.maximum(common, -np.minimum.reduce(found), out=common)
@@ -123,13 +124,16 @@ class Quadrotors(Kind):
         return found
 
     def place(self) -> tuple[Array, Array, Array]:
-        """See Kind."""
+        """See BodyKind."""
         return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
 
 
 def _lift(asked: Array) -> Array:
-    """The acceleration that thrust must give: what was asked for and gravity, within the limit of tilt. Its vertical
-    part is positive, so it has a direction."""
+    """Return the acceleration that thrust must give.
+
+    The commanded one plus gravity, within the tilt limit.
+
+    Its vertical part is positive, so it has a direction."""
     asked[2] += GRAVITY
     most = asked[2] * math.tan(MAX_TILT)
     most /= np.maximum(np.hypot(asked[0], asked[1]), most)
@@ -138,9 +142,9 @@ def _lift(asked: Array) -> Array:
 
 
 class SimulatedQuadrotor:
-    """One of them: implements `bodies.Quadrotor`."""
+    """One quadrotor of `Quadrotors`. Implements `bodies.Quadrotor`."""
 
-    def __init__(self, world: World, start: Vector, yaw: float) -> None:
+    def __init__(self, world: SimulatedWorld, start: Vector, yaw: float) -> None:
         centre = (start[0], start[1], start[2] + HEIGHT / 2)
         self._all, self.rigid = world.add(Quadrotors, SOLID, centre, yaw)
         self._index = self.rigid.index
@@ -148,8 +152,8 @@ class SimulatedQuadrotor:
     def state(self) -> BodyState:
         return self.rigid.state()
 
-    def motion(self) -> Motion:
-        """Of its centre of mass."""
+    def motion(self) -> BodyMotion:
+        """Return the motion of the centre of mass."""
         return self.rigid.motion()
 
     def accelerate(self, acceleration: Vector, yaw_rate: float) -> None:
@@ -160,8 +164,10 @@ class SimulatedQuadrotor:
         self._all.asked[self._index] = x, y, z, yaw_rate
 
     def thrusts(self, shares: tuple[float, float, float, float]) -> None:
-        """Ask each motor for a share of its most thrust, past the attitude loop: front left, rear left, rear right,
-        front right. Until told otherwise; whoever begins with it does not go back to `accelerate`."""
+        """Command the thrust of each motor as a share of its maximum, bypassing the attitude loop.
+
+        Order: front left, rear left, rear right, front right. Holds until the next command. A caller that uses it must
+        not go back to `accelerate`."""
         self._all.direct[self._index] = shares
 
     def motors(self, on: bool) -> None:

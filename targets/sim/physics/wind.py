@@ -1,4 +1,4 @@
-"""Wind: a mean, and gusts that wander about it, of each body its own."""
+"""Wind: a mean wind plus gusts, different for each body."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from targets.sim.physics.rigid import Array
 
 
 class Air:
-    """The wind at each of `count` bodies. A gust is a first-order Gauss-Markov process, the longitudinal spectrum of
-    Dryden's model (MIL-F-8785C), stepped exactly; it is the same for the same seed."""
+    """Wind at each of `count` bodies.
+
+    A gust is a first-order Gauss-Markov process, the longitudinal spectrum of Dryden's model (MIL-F-8785C), stepped
+    exactly. The same seed gives the same gusts."""
 
     def __init__(self, wind: Wind, seed: int, count: int) -> None:
         self._dice = np.random.Generator(np.random.PCG64(seed))
@@ -20,12 +22,12 @@ class Air:
         self.change(wind)
 
     def change(self, wind: Wind) -> None:
-        """From now on another wind; gusts go over into those of the new one."""
+        """Change the wind. Gusts continue into those of the new wind."""
         self._wind = wind
         self._mean = np.array(wind.mean, dtype=float)[:, None]
 
     def step(self, seconds: float) -> Array | None:
-        """The velocities (m/s) of the air at the bodies, (3, n) or (3, 1); None: there is no wind."""
+        """Return the velocities (m/s) of the air at the bodies, (3, n) or (3, 1); None without wind."""
         wind = self._wind
         if wind.gust <= 0.0:
             return self._mean if any(wind.mean) else None

@@ -1,4 +1,4 @@
-"""A run in real time: a process for each agent, UDP between them, and a world that keeps up with the host's clock."""
+"""Real-time clock: one process per agent, UDP between them, and a world that follows the host's clock."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from targets.sim.base.ports import NUMBERS
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.realtime.relay import Relay
-from targets.sim.realtime.supervise import Process, overrides
-from targets.sim.run.crew import Step
-from targets.sim.run.stage import Actor, Stage
+from targets.sim.realtime.supervise import AgentProcess, overrides
+from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.scene import Actor, SimulationScene
 
-# The pace of the world: which physics steps are due at a host time, on absolute ticks. Pure.
+# Pacing of the world: computes which physics steps are due at a host time, on absolute ticks.
 
-BURST = 24  # steps at once when behind; then others get their turn
-MOST_BEHIND = 0.25  # seconds; a world that is further behind lets its clock stand still for the rest
+BURST = 24  # steps in one go when behind, before other work is done
+MOST_BEHIND = 0.25  # seconds; a world that is further behind stops its clock for the rest
 
 
 class Pace:
-    """Step k is due at start + k * step (host seconds) + `slip`, the time that the world stood still. `late` counts
-    steps that began more than one step after they were due. With `most_behind` infinite the world never stands still:
-    it makes up for all that it is behind."""
+    """Pace of a world: step k is due at start + k * step + `slip` (host seconds).
+
+    `slip` is the time for which the world's clock was stopped. `late` counts steps that began more than one step too
+    late. With `most_behind` infinite the clock never stops: the world makes up for all delays."""
 
     def __init__(self, start: float, step: float, most_behind: float = MOST_BEHIND) -> None:
         self._step = step
@@ -39,7 +40,7 @@ class Pace:
         self.slip = 0.0
 
     def due(self, now: float) -> int:
-        """How many steps to make at host time `now`, at most BURST; they count as done."""
+        """Return the number of steps to make at host time `now`, at most BURST. They count as done."""
         behind = now - self.tick(self.done)
         if behind > self._most_behind:
             self.slip += behind - self._most_behind
@@ -50,16 +51,18 @@ class Pace:
         return number
 
     def tick(self, step: int) -> float:
-        """The host time at which a step is due."""
+        """Return the host time at which a step is due."""
         return self._start + step * self._step + self.slip
 
     def factor(self, now: float) -> float:
-        """World seconds per host second since the start."""
+        """Return the world seconds per host second since the start."""
         return self.done * self._step / (now - self._start) if now > self._start else 1.0
 
 
 class RealTime:
-    """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets the key and a folder of each robot."""
+    """Real-time clock and agents of a run. Implements `run_interface.AgentsAndClock`.
+
+    `root` is the sim bundle; `folder` receives the key and a folder for each robot."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
         self._scenario, self._root, self._seed = scenario, root, seed
@@ -67,12 +70,12 @@ class RealTime:
         self._key = secrets.token_bytes(32)
         with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(self._key)
-        self._agents: list[Process] = []
+        self._agents: list[AgentProcess] = []
         for robot in scenario.robots:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
-            self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
-        # An external autopilot's clock is the world's: where that stood still, it would be late for good.
+            self._agents.append(AgentProcess(robot, root / robot.bundle, own, scenario.delta))
+        # An external autopilot uses the world's clock. If that stopped, the autopilot would be late for good.
         external = any(robot.external for robot in scenario.robots)
         self._most_behind = math.inf if external else MOST_BEHIND
         self._pace = self._started()
@@ -81,21 +84,21 @@ class RealTime:
         self._numbers: list[int] = []
 
     @property
-    def agents(self) -> list[Process]:
+    def agents(self) -> list[AgentProcess]:
         return self._agents
 
-    def stage(self) -> Stage:
-        return Stage(self._scenario, self._seed, self._key)
+    def scene(self) -> SimulationScene:
+        return SimulationScene(self._scenario, self._seed, self._key)
 
-    def launch(self, stage: Stage) -> None:
+    def launch(self, scene: SimulationScene) -> None:
         count = len(self._agents)
         taken = self._numbers = [NUMBERS.take() for _ in range(2 * count)]
         ports, controls = taken[:count], taken[count:]
         if self._medium is not None:
             self._relay = Relay(ports, self._seed, self._medium)
         others = self._relay.ports if self._relay else ports
-        for pid, (agent, actor) in enumerate(zip(self._agents, stage.actors, strict=True)):
-            seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # it listens on its own
+        for pid, (agent, actor) in enumerate(zip(self._agents, scene.actors, strict=True)):
+            seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # a robot listens on its own port
             laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
             agent.launch(laid_over, *self._simple(agent.robot, actor))
         self._pace = self._started()
@@ -104,7 +107,9 @@ class RealTime:
         return Pace(time.monotonic(), STEP, self._most_behind)
 
     def _simple(self, robot: Robot, actor: Actor) -> tuple[list[str] | None, str]:
-        """What is run instead of a bundle, and the PYTHONPATH for it, for a robot that has no devices."""
+        """Return the command and PYTHONPATH that replace a bundle for a robot of fidelity `simple`.
+
+        None for others."""
         found = getattr(actor.device, "agent", None)
         if found is None:
             return None, ""
@@ -113,7 +118,7 @@ class RealTime:
         return command, os.pathsep.join((str(self._root.resolve()), bundle))
 
     def disturb(self, medium: Medium) -> None:
-        """See Conduct. Only when it was asked for before the launch there is a relay."""
+        """Change the medium. A relay exists only if this was called before the launch. See AgentsAndClock."""
         self._medium = medium
         if self._relay is not None:
             self._relay.change(medium)
@@ -121,9 +126,11 @@ class RealTime:
     def now(self) -> float:
         return time.monotonic()
 
-    def go_on(self, step: Step) -> None:
-        """The steps that are due, then sleep until the next. A step that is made late has the time of its making, as
-        far as it is later than `MOST_BEHIND`: that is when agents learn of it."""
+    def go_on(self, step: WorldStep) -> None:
+        """Make all steps that are due, then sleep until the next.
+
+        A step that is late by more than `MOST_BEHIND` is stamped with the present time less `MOST_BEHIND`, for agents
+        receive its data only now."""
         first = self._pace.done
         for k in range(first, first + self._pace.due(time.monotonic())):
             step(max(self._pace.tick(k), time.monotonic() - MOST_BEHIND))
@@ -143,7 +150,7 @@ class RealTime:
 
     @property
     def shares(self) -> dict[str, float]:
-        """The agents' time is that of other processes."""
+        """Empty: the agents' time is that of other processes."""
         return {}
 
     def close(self) -> None:

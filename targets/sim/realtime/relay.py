@@ -1,10 +1,9 @@
-"""A relay between agents that are processes: loses, delays, doubles and reorders what they send one another.
+"""Relay between agent processes: loses, delays, duplicates and reorders their datagrams.
 
-It has a port of its own for each robot, to which the others send; who sent something it knows by the port that it came
-from, because an agent sends from the one on which it listens. It is a process of its own, so that neither the world's
-steps nor the agents' work delay what goes through. Whoever started it tells it by lines of JSON what the network is
-like from now on, and ends it by closing that pipe.
-"""
+It has a port for each robot, to which the other robots send. It recognises a sender by the source port, because an
+agent sends from the port on which it listens. It is a process of its own, so that neither the world's steps nor the
+agents' work delay datagrams. The harness writes the medium's conditions as lines of JSON to its standard input, and
+ends the relay by closing it."""
 
 from __future__ import annotations
 
@@ -27,13 +26,15 @@ from koordgen.runtime.net.wire import LIMIT
 from targets.sim.base.medium import Medium
 
 LOOPBACK = "127.0.0.1"
-MOST_WAITING = 200_000  # datagrams under way: an agent that floods the relay fills no memory
+MOST_WAITING = 200_000  # datagrams in flight: a flooding agent must not fill the memory
 RECEIVE_BUFFER = 1 << 20
-AT_ONCE = 256  # datagrams of one port before the others have their turn
+AT_ONCE = 256  # datagrams read from one port before the other ports are served
 
 
 class Relay:
-    """The harness's end. `ports` are those to send to, by pid; `targets` those on which the robots listen."""
+    """The harness's handle of the relay process.
+
+    `ports`: where agents send to, by pid. `targets`: where the robots listen."""
 
     def __init__(self, targets: Sequence[int], seed: int, medium: Medium) -> None:
         sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in targets]
@@ -49,8 +50,8 @@ class Relay:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 pass_fds=handed,
-                start_new_session=True,  # Ctrl-C on the terminal is the harness's to pass on
-                cwd=Path(__file__).resolve().parents[3],  # where `targets` is
+                start_new_session=True,  # the harness forwards Ctrl-C itself
+                cwd=Path(__file__).resolve().parents[3],  # the folder that contains `targets`
             )
         finally:
             for each in sockets:
@@ -58,7 +59,7 @@ class Relay:
         self.change(medium)
 
     def change(self, medium: Medium) -> None:
-        """From now on. Raises OSError when the relay is gone."""
+        """Change the medium. Raises OSError if the relay has ended."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(msgspec.json.encode(medium) + b"\n")
@@ -67,15 +68,15 @@ class Relay:
             raise OSError(errno.EPIPE, "the relay between the agents has ended") from None
 
     def close(self) -> None:
-        """End it."""
+        """End the relay process."""
         if self._process.stdin is not None:
-            with suppress(OSError):  # it is gone
+            with suppress(OSError):  # already gone
                 self._process.stdin.close()
         self._process.wait()
 
 
 class Router:
-    """Who gets what, and when; without sockets. Times in seconds of any clock."""
+    """Schedule of deliveries, without sockets. Times in seconds of any clock."""
 
     def __init__(self, count: int, seed: int) -> None:
         self._count = count
@@ -85,7 +86,7 @@ class Router:
         self.change(Medium())
 
     def change(self, medium: Medium) -> None:
-        """From now on; what is under way arrives."""
+        """Change the medium. Datagrams in flight still arrive."""
         self._medium = medium
         self._links = medium.by_link()
 
@@ -98,7 +99,7 @@ class Router:
                 heapq.heappush(self._waiting, (now + delay, self._number, receiver, datagram))
 
     def due(self, now: float) -> list[tuple[int, bytes]]:
-        """The receivers and datagrams whose time has come, in order."""
+        """Return the datagrams that are due, with their receivers, in order."""
         found = []
         while self._waiting and self._waiting[0][0] <= now:
             _, _, receiver, datagram = heapq.heappop(self._waiting)
@@ -111,7 +112,7 @@ class Router:
 
 
 def main(seed: str, *places: str) -> None:
-    """The process. Each place is the number of an open socket, a colon, and the port of the robot behind it."""
+    """Run the relay process. Each argument is "FILENO:PORT": an open socket, and the port of its robot."""
     pairs = [place.split(":") for place in places]
     sockets = [socket.socket(fileno=int(fileno)) for fileno, _ in pairs]
     targets = [(LOOPBACK, int(port)) for _, port in pairs]
@@ -148,7 +149,7 @@ def _drain(own: socket.socket, receiver: int, pids: Mapping[tuple[str, int], int
     for _ in range(AT_ONCE):
         try:
             datagram, source = own.recvfrom(LIMIT + 1)
-        except OSError:  # nothing more, or word that a robot is gone
+        except OSError:  # nothing left, or an ICMP error of a robot that is gone
             return
         sender = pids.get(source)
         if sender is not None:

@@ -1,7 +1,9 @@
-"""The agent of a robot of fidelity `simple` in real time: the bundle's own program, in a process of its own, over a
-body that is moved by datagrams. `python -m targets.sim.realtime.simple_agent PLATFORM PORT BUNDLE DRIVERS [options of
-bundles]`: the sim bundle and the robot's are on PYTHONPATH, DRIVERS is JSON, a list of the three parts of each.
-"""
+"""Agent process of a robot of fidelity `simple` in real time.
+
+The bundle's own program over a remote body.
+
+Usage: `python -m targets.sim.realtime.simple_agent PLATFORM PORT BUNDLE DRIVERS [options of bundles]`. The sim bundle
+and the robot's are on PYTHONPATH. DRIVERS is a JSON list with three strings per driver."""
 
 from __future__ import annotations
 
@@ -16,27 +18,27 @@ import msgspec
 
 from koordgen.runtime.agent.process import main
 from koordgen.runtime.program.property import properties_of
-from targets.sim.base.bodies import Asked, BodyState, Vector
+from targets.sim.base.bodies import BodyCommand, BodyState, Vector
 
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode
 
 
 class RemoteBody:
-    """A body in the harness's process, which tells its state by datagrams to this port."""
+    """Body in the harness's process, commanded and observed by datagrams."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", port))
         self._socket.setblocking(False)
-        self._harness: Any = None  # its address, once it is known
+        self._harness: Any = None  # its address, once known
 
     def state(self) -> BodyState | None:
-        """The newest that has come since this was asked last."""
+        """Return the newest state received since the last call."""
         newest: bytes | None = None
         try:
             while True:
                 newest, self._harness = self._socket.recvfrom(2048)
-        except OSError:  # no more
+        except OSError:  # no more datagrams
             pass
         try:
             return None if newest is None else BodyState(*_decode(newest))
@@ -58,13 +60,13 @@ class RemoteBody:
     def _ask(self, what: str, *values: float) -> None:
         if self._harness is not None:
             try:
-                self._socket.sendto(_encode(Asked(what, values)), self._harness)
+                self._socket.sendto(_encode(BodyCommand(what, values)), self._harness)
             except OSError:
-                return  # lost, as any datagram may be: the next one comes soon
+                return  # lost like any datagram; the next command follows soon
 
 
 def run(argv: list[str]) -> int:
-    """The exit status."""
+    """Run the agent. Return its exit status."""
     platform, port, bundle, drivers, *options = argv
     module, _, member = platform.partition(":")
     make: Callable[..., Any] = getattr(importlib.import_module(module), member)

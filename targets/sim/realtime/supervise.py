@@ -1,4 +1,4 @@
-"""The agents' processes: one per robot, each running its bundle unchanged, and what is known of each while it runs."""
+"""Agent processes: one per robot, each running its bundle unchanged."""
 
 from __future__ import annotations
 
@@ -17,39 +17,41 @@ import msgspec
 
 from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.scenario import Robot
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.trace.files import Tail
 
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
-_BEHIND = 5  # the niceness of agents: the world, on whose steps all of them wait, goes first
-# What an agent may end with when it was told to: done, or interrupted.
+_BEHIND = 5  # niceness of agents: the world has priority, for all agents wait for its steps
+# Exit statuses that are normal after a request to end: done, or interrupted.
 GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
 
 
 def overrides(
-    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: Process
+    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: AgentProcess
 ) -> dict[str, Any]:
-    """What is laid over a robot's settings.json: the devices and addresses of this run."""
+    """Return the settings that override a robot's settings.json: devices and addresses of this run."""
     peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
     return {
         "robot": agent.robot.name,
         "pid": agent.robot.pid,
-        "application_id": agent.application,  # with these three, the commands for real robots find those of the run
+        "application_id": agent.application,  # with these three, the commands for real robots work on the run's robots
         "peers": peers,
         "bind": "",
-        "network": {"transport": "unicast"},  # groups and endpoints are those of the real network
+        "network": {"transport": "unicast"},  # the bundle's groups and endpoints are those of the real network
         "control": control,
         "state": str(agent.state_folder.resolve()),
         "key_file": str(key_file.resolve()),
         "insecure": False,
         "trace": str(agent.trace_file.resolve()),
-        "trace_limit": None,  # the run follows the file, and merges all of it at the end
+        "trace_limit": None,  # the run reads the file as it grows, and merges all of it at the end
         "body": body,
     }
 
 
-class Process(Agent):
-    """One robot's bundle as a process. Made, not yet launched. What it keeps is in `state` in its folder."""
+class AgentProcess(AgentHandle):
+    """Agent handle of a robot whose bundle runs as a process.
+
+    Its persistent state is in `state` in its folder."""
 
     def __init__(self, robot: Robot, bundle: Path, folder: Path, delta: float) -> None:
         super().__init__(robot, folder, delta)
@@ -61,13 +63,13 @@ class Process(Agent):
         self._settings: dict[str, Any] = {}
         self._command: list[str] = []
         self._path = ""
-        self._lives = [self.trace_file]  # a trace of each
+        self._lives = [self.trace_file]  # trace files, one per start
         self._thaw: threading.Timer | None = None
-        self._stopped: subprocess.Popen[bytes] | None = None  # the process that is frozen
+        self._stopped: subprocess.Popen[bytes] | None = None  # the frozen process
 
     @property
     def application(self) -> int:
-        """The fleet's application_id, from the bundle's settings; 0 of a bundle without any."""
+        """The fleet's application_id, from the bundle's settings; 0 if the bundle has none."""
         try:
             settings = msgspec.json.decode((self._bundle / "settings.json").read_bytes())
         except FileNotFoundError:
@@ -90,7 +92,7 @@ class Process(Agent):
                 stderr=log,
                 env=environment,
                 cwd=self._settings_file.parent,
-                start_new_session=True,  # Ctrl-C on the terminal is the harness's to pass on
+                start_new_session=True,  # the harness forwards Ctrl-C itself
                 preexec_fn=_second_to_parent,
             )
 
@@ -106,11 +108,11 @@ class Process(Agent):
     def process_id(self) -> int | None:
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
-    def tell_end(self) -> None:
+    def request_end(self) -> None:
         self.told = True
         if self._process and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
-            if self._thaw is None:  # a freeze without an end ends here, else it would not come to rest
+            if self._thaw is None:  # end an unlimited freeze, or the agent could not stop safely
                 self.thaw()
 
     def kill(self) -> None:
@@ -127,11 +129,11 @@ class Process(Agent):
 
     def restart(self) -> None:
         self.crash()
-        if not self.crashed or self.told:  # it ended by itself, or is not wanted any more
+        if not self.crashed or self.told:  # it ended by itself, or should end
             return
         while self.look():
             pass
-        # An agent writes its trace anew, so each life has a file of its own until the run's end.
+        # An agent overwrites its trace, so each start has a file of its own until the run's end.
         self._lives.append(self.trace_file.with_name(f"trace-{len(self._lives) + 1}.jsonl"))
         self._tail = Tail(self._lives[-1])
         self.crashed = False
@@ -141,7 +143,7 @@ class Process(Agent):
         process = self._process
         if process is None or process.poll() is not None:
             return
-        self.thaw()  # a timer of an earlier life must not end this freeze
+        self.thaw()  # a timer of an earlier start must not end this freeze
         process.send_signal(signal.SIGSTOP)
         self._stopped = process
         if seconds < math.inf:
@@ -162,7 +164,7 @@ class Process(Agent):
             process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
-        """End it, and make one trace of all its lives. Idempotent."""
+        """End the agent, and join the traces of all its starts. Idempotent."""
         if self._thaw is not None:
             self._thaw.cancel()
         self.kill()
@@ -170,7 +172,7 @@ class Process(Agent):
             life = self._lives.pop(1)
             if life.exists():
                 with self.trace_file.open("ab") as whole:
-                    whole.write(b"\n" + life.read_bytes())  # a life that was cut short ends within a line
+                    whole.write(b"\n" + life.read_bytes())  # a trace that was cut off ends within a line
                 life.unlink()
 
     def look(self) -> list[TraceRecord]:
@@ -183,7 +185,7 @@ class Process(Agent):
         if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
         if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
-            return None  # it was on its way out when we told it, and Python heeded signals no longer
+            return None  # it was already exiting when it was told to, and Python no longer handled signals
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
         own = self.resting.detail if self.resting else self.last_error
@@ -192,11 +194,13 @@ class Process(Agent):
 
 
 def _second_to_parent() -> None:
-    """Runs in the child, which has a session of its own: should the harness be killed, its agents are told to come to
-    rest; where both want the processor, the harness has it first."""
+    """Tie the child to its parent, and lower its priority. Runs in the child, in a session of its own.
+
+    If the harness is killed, the agent receives SIGTERM and stops safely. The harness has priority for the
+    processor."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
     with suppress(OSError):
         os.nice(_BEHIND)
-    with suppress(OSError):  # where Linux shares the processor among sessions, niceness counts only within one
+    with suppress(OSError):  # if Linux shares the processor among sessions, niceness counts only within a session
         Path("/proc/self/autogroup").write_text(str(_BEHIND))

@@ -1,4 +1,4 @@
-"""Brings a schedule's faults about while a run goes on, and stamps each into the trace as its cause."""
+"""Fault injection: executes a schedule during a run, and records each fault in the trace as a cause."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import msgspec
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import Cause, Moved, TraceRecord
 from targets.sim.base.bodies import BodyState
-from targets.sim.base.medium import medium, parted
+from targets.sim.base.fault_state import NO_POSITIONING_FAULT
+from targets.sim.base.medium import medium, partition
 from targets.sim.base.scenario import BadScenario, Robot
 from targets.sim.base.schedule import CONDITIONS, LONGER, Event, Mistake, Schedule, read, too_late
-from targets.sim.base.upset import WELL
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.sensing.station import fed
 
 if TYPE_CHECKING:
@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 
 
 def load(path: Path, robots: Sequence[str]) -> tuple[Schedule, Any]:
-    """The schedule of a file, JSON or, if its name ends so, YAML; and its plain values. Raises BadScenario with all
-    that is wrong."""
+    """Read a schedule from JSON or YAML (by the file's extension). Return it with its plain values.
+
+    Raises BadScenario that lists all mistakes."""
     read_plain = _yaml if path.suffix in (".yaml", ".yml") else json.loads
     try:
         data = read_plain(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        hint = "a file of YAML is called .yaml or .yml"
-        raise BadScenario(f"{path}:{error.lineno}:{error.colno}: no JSON: {error.msg}", hint) from None
+        hint = "a YAML file must have the extension .yaml or .yml"
+        raise BadScenario(f"{path}:{error.lineno}:{error.colno}: invalid JSON: {error.msg}", hint) from None
     except (OSError, ValueError, RecursionError) as error:
         raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     schedule, mistakes = read(data, robots)
@@ -45,15 +46,15 @@ def load(path: Path, robots: Sequence[str]) -> tuple[Schedule, Any]:
 
 
 def _yaml(text: str) -> Any:
-    """Plain values; a bundle does not require the package. Raises ValueError."""
+    """Parse YAML. PyYAML is optional in a bundle. Raises ValueError."""
     try:
         yaml = importlib.import_module("yaml")
     except ModuleNotFoundError:
-        raise ValueError("YAML needs the Python package PyYAML here; JSON needs nothing") from None
+        raise ValueError("YAML needs the Python package PyYAML; JSON works without it") from None
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise ValueError(f"no YAML: {error}") from None
+        raise ValueError(f"invalid YAML: {error}") from None
 
 
 def _place(mistake: Mistake) -> str:
@@ -62,7 +63,7 @@ def _place(mistake: Mistake) -> str:
 
 
 def with_network(schedule: Schedule, given: Mapping[str, float | None]) -> Schedule:
-    """`given` are conditions of all links, laid over the schedule's; None: as it was."""
+    """Return the schedule with conditions of all links overridden by `given`; None: unchanged."""
     said = {key: given[key] for key in CONDITIONS if given.get(key) is not None}
     if not said:
         return schedule
@@ -71,14 +72,16 @@ def with_network(schedule: Schedule, given: Mapping[str, float | None]) -> Sched
 
 
 def check_times(schedule: Schedule, duration: float) -> None:
-    """Whether the run has all of them. Raises BadScenario."""
+    """Check that all events are within the run's duration. Raises BadScenario."""
     late = [event for event in schedule.events if event.at >= duration]
     if late:
         raise BadScenario(too_late(late[0], duration), LONGER)
 
 
 def check_robots(schedule: Schedule, robots: Sequence[Robot]) -> None:
-    """What cannot be done to a robot: one whose autopilot is not ours, one that has no battery. Raises BadScenario."""
+    """Refuse faults that cannot be injected: GPS of an external autopilot, missing battery.
+
+    Raises BadScenario."""
     own_gps = {r.name for r in robots if r.external and not fed(r.settings)}
     simple = {r.name for r in robots if r.sim.fidelity == "simple"}
     for event in schedule.events:
@@ -91,7 +94,7 @@ def check_robots(schedule: Schedule, robots: Sequence[Robot]) -> None:
         if event.kind == "battery" and event.robots[0] in simple:
             raise BadScenario(
                 f"{what}: {event.robots[0]} is simulated without a battery",
-                "say `fidelity: full` in its `sim:`, or leave this fault out",
+                "set `fidelity: full` in its `sim:`, or remove this fault",
             )
 
 
@@ -104,15 +107,15 @@ def check_obstacles(schedule: Schedule, count: int) -> None:
 
 
 class Faults:
-    """Implements `crew.Companion`. With `open` more events may come while the run goes on (`give`)."""
+    """Companion that injects faults. With `open`, more faults may be added during the run (`give`)."""
 
     def __init__(self, schedule: Schedule, open: bool = False) -> None:
         self._schedule = schedule
         self._open = open
-        self._network = schedule.network  # as it is now
+        self._network = schedule.network  # present conditions of all links
         self._groups: tuple[tuple[str, ...], ...] = ()
         self._cuts: set[tuple[int, int]] = set()
-        self._due: list[tuple[float, int, int, Event]] = []  # by time; what ends at a time ends before what begins then
+        self._due: list[tuple[float, int, int, Event]] = []  # by time; at equal times, ends before beginnings
         self._count = 0
         for event in schedule.events:
             self._plan(event)
@@ -145,17 +148,17 @@ class Faults:
             (self._begin if begins else self._finish)(event, at)
 
     def give(self, event: Event, at: float) -> None:
-        """Bring about one more event, now: its time must be the run's t of `at`."""
+        """Inject one more event now: its time must be the run's t of `at`."""
         self._plan(event)
         self.step(at, [])
 
     def impossible(self, event: Event) -> str:
-        """Why an event that fits the schedule cannot be brought about now; "": it can."""
+        """Return why a valid event cannot be injected now; "" if it can."""
         match event.kind:
             case "crash" | "freeze" | "continue" | "restart":
                 agent, name = self._agent(event), event.robots[0]
                 if event.kind == "restart":
-                    return "" if agent.alive or agent.crashed else f"{name} has ended by itself, it did not crash"
+                    return "" if agent.alive or agent.crashed else f"{name} has ended by itself and did not crash"
                 if not agent.alive:
                     return f"{name} does not run"
                 if event.kind == "continue" and not agent.frozen:
@@ -168,8 +171,8 @@ class Faults:
                     return f"the link between {names} is {'cut already' if is_cut else 'not cut'}"
         return ""
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
-        """See Companion: nothing that agents say changes the schedule."""
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
+        """Do nothing: agents' records do not change the schedule. See Companion."""
 
     def end(self, at: float) -> None:
         """See Companion."""
@@ -202,15 +205,15 @@ class Faults:
             case "continue":
                 self._agent(event).thaw()
             case "positioning":
-                self._upset(event).positioning = event.positioning
+                self._fault_state(event).positioning = event.positioning
             case "battery":
-                self._upset(event).battery = event.level
+                self._fault_state(event).battery = event.level
             case "lag":
-                self._upset(event).lag = event.lag
+                self._fault_state(event).lag = event.lag
             case "wind":
-                run.stage.world.blow(event.wind)
+                run.scene.world.blow(event.wind)
             case "obstacle":
-                run.mark(Moved(at, event.number, run.stage.world.move(event.number, event.by)))
+                run.mark(Moved(at, event.number, run.scene.world.move(event.number, event.by)))
 
     def _finish(self, event: Event, at: float) -> None:
         run = self._run
@@ -228,35 +231,35 @@ class Faults:
                 self._stamp(at, "restart", event.robots, f"{event.lasts:g} s after its crash")
                 self._restart(event)
             case "positioning":
-                self._upset(event).positioning = WELL
+                self._fault_state(event).positioning = NO_POSITIONING_FAULT
             case "lag":
-                self._upset(event).lag = 0.0
+                self._fault_state(event).lag = 0.0
             case "wind":
-                run.stage.world.blow(run.scenario.world.wind)
+                run.scene.world.blow(run.scenario.world.wind)
             case _:
                 pass  # a freeze ends by itself
 
     def _disturb(self) -> None:
-        """Let the network between the agents be as it should be now."""
+        """Apply the present conditions and partitions to the network between the agents."""
         whole = medium(msgspec.structs.replace(self._schedule, network=self._network), self._names)
         whole = msgspec.structs.replace(whole, cuts=tuple(sorted(self._cuts)))
-        self._run.conduct.disturb(parted(whole, self._groups, self._names) if self._groups else whole)
+        self._run.conduct.disturb(partition(whole, self._groups, self._names) if self._groups else whole)
 
     def _link(self, event: Event) -> tuple[int, int]:
-        """The pids of the two robots of a cut, the lower one first."""
+        """Return the pids of the two robots of a cut, the lower one first."""
         one, other = sorted(map(self._names.index, event.robots))
         return one, other
 
     def _restart(self, event: Event) -> None:
         agent = self._agent(event)
-        if not agent.told:  # to come to rest: nobody would tell its next life
+        if not agent.told:  # an agent told to end must not start again, for it would not be told twice
             agent.restart()
 
-    def _agent(self, event: Event) -> Agent:
+    def _agent(self, event: Event) -> AgentHandle:
         return self._run.conduct.agents[self._names.index(event.robots[0])]
 
-    def _upset(self, event: Event) -> Any:
-        return self._run.stage.actors[self._names.index(event.robots[0])].upset
+    def _fault_state(self, event: Event) -> Any:
+        return self._run.scene.actors[self._names.index(event.robots[0])].fault_state
 
 
 def _conditions(conditions: Conditions) -> str:
@@ -264,7 +267,7 @@ def _conditions(conditions: Conditions) -> str:
 
 
 def told(event: Event) -> str:
-    """A fault in words."""
+    """Return a fault's details as text."""
     match event.kind:
         case "partition":
             return " | ".join(", ".join(group) for group in event.groups)

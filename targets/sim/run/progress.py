@@ -1,4 +1,6 @@
-"""Progress of a run on a terminal: one line that is rewritten. Elsewhere only what went wrong is written."""
+"""Progress of a run on a terminal: one line that is rewritten.
+
+Without a terminal only problems are written."""
 
 from __future__ import annotations
 
@@ -8,15 +10,16 @@ import time
 from collections.abc import Sequence
 from typing import TextIO
 
-from targets.sim.run.crew import Agent
-from targets.sim.run.stage import Watch
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.scene import SeparationMonitor
 
-EVERY = 0.2  # seconds between two states
+EVERY = 0.2  # seconds between two updates
 
 
 class Progress:
-    """Writes to `stream` (standard error); quiet, it says nothing. `free`: the run's clock is not the host's, and it
-    always says how fast that goes."""
+    """Writer of progress to `stream` (standard error); with `quiet`, nothing is written.
+
+    `free`: the run's clock is not the host's, so the factor is always shown."""
 
     def __init__(self, stream: TextIO, quiet: bool, free: bool = False) -> None:
         self._stream = stream
@@ -24,7 +27,7 @@ class Progress:
         self._free = free
         self._live = stream.isatty()
         self._next = 0.0
-        self._open = False  # a line stands that will be rewritten
+        self._open = False  # the last line on the terminal will be rewritten
 
     def step(self, text: str) -> None:
         """Write a line about normal progress; only to a terminal."""
@@ -38,9 +41,15 @@ class Progress:
             self._open = False
 
     def show(
-        self, now: float, zero: float | None, duration: float, agents: Sequence[Agent], watch: Watch, factor: float
+        self,
+        now: float,
+        zero: float | None,
+        duration: float,
+        agents: Sequence[AgentHandle],
+        watch: SeparationMonitor,
+        factor: float,
     ) -> None:
-        """The present state, when it is time for it again."""
+        """Show the present state if an update is due."""
         host = time.monotonic()
         if self._quiet or not self._live or host < self._next:
             return
@@ -54,7 +63,7 @@ class Progress:
         self._open = True
 
     def finish(self) -> None:
-        """End the line that stands."""
+        """Erase the line that would be rewritten."""
         if self._open:
             self._write("\r\x1b[K")
             self._open = False
@@ -63,15 +72,15 @@ class Progress:
         try:
             self._stream.write(text)
             self._stream.flush()
-        except OSError:  # the terminal is gone; the run is not
+        except OSError:  # the terminal is gone; the run continues
             self._quiet = True
 
 
-def _starting(agents: Sequence[Agent]) -> str:
+def _starting(agents: Sequence[AgentHandle]) -> str:
     return " | ".join(f"{agent.robot.name} {agent.waiting_for()}" for agent in agents)
 
 
-def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch) -> str:
+def _running(t: float, duration: float, agents: Sequence[AgentHandle], watch: SeparationMonitor) -> str:
     parts = [
         f"{min(t, duration):5.1f} of {duration:g} s",
         f"round {max(agent.round for agent in agents)}",

@@ -1,4 +1,4 @@
-"""One run, on either clock: launches the agents, steps the world beside them, and brings all to rest at the end."""
+"""One run on either clock: launch of the agents, steps of the world, safe stop of all robots."""
 
 from __future__ import annotations
 
@@ -16,46 +16,51 @@ from koordgen.runtime.trace.schema import End, Mark, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Scenario
 from targets.sim.physics.world import STEP
-from targets.sim.run.crew import Agent, Conduct
 from targets.sim.run.progress import Progress
-from targets.sim.run.stage import Closest
+from targets.sim.run.run_interface import AgentHandle, AgentsAndClock
+from targets.sim.run.scene import Closest
 from targets.sim.trace.files import Poses
 
 
 class Companion(Protocol):
-    """Goes along with a run: `Run.companions`. Raises nothing but OSError, which ends the run."""
+    """Observer or injector beside a run (`Run.companions`). May raise only OSError, which ends the run."""
 
     def launched(self, run: Run) -> None:
-        """All is made, agents are about to start. `run.stage` has the bodies and devices, `run.conduct.agents` the
-        agents with their `crash`, `restart`, `freeze` and `monitors`, `run.mark` takes what belongs into the trace."""
+        """Called before the agents start.
+
+        `run.scene` has the bodies and devices, `run.conduct.agents` the agent handles, `run.mark` adds records to the
+        trace."""
         ...
 
     def step(self, at: float, states: list[BodyState]) -> None:
-        """Each physics step: the truth at `at`, by pid. That is on the run's clock; t is `run.t(at)`, None as long as
-        round 1 has not been heard of. What is changed here counts from the next step on."""
+        """Called at each physics step with the true states by pid at time `at` of the run's clock.
+
+        t is `run.t(at)`, None before round 1. Changes take effect at the next step."""
         ...
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
-        """Every 0.05 s, for an agent that has traced something: its records in their order."""
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
+        """Called every 0.05 s for each agent that has traced something, with its records in order."""
         ...
 
     def end(self, at: float) -> None:
-        """All robots are at rest, and nothing more will come; `mark` still takes what was found."""
+        """Called after the safe stop of all robots. `mark` may still be used."""
         ...
 
 
 POSE_RATE = 20.0  # poses a second, unless the setting `pose_rate` says otherwise
-LOOK_EVERY = 0.05  # seconds between two looks at the agents
-REST_WITHIN = 20.0  # seconds from the end of the mission until every agent must have ended
-SETTLE = 0.5  # seconds that the world goes on after the last agent
+LOOK_EVERY = 0.05  # seconds between two checks of the agents
+STOP_WITHIN = 20.0  # seconds from the end of the mission within which every agent must end
+SETTLE = 0.5  # seconds for which the world continues after the last agent
 START_TIMEOUT = 90.0
 
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run went. `zero` is the time of t = 0 on the run's clock: round 1's start, or without one the launch.
-    `ended` says why the mission ended: completed, stopped (all agents ended by themselves), died (before the start),
-    timeout (no start), interrupted, idle (see idle.py). Times of `marks` and `closest` are t."""
+    """Result of a run. Times of `marks` and `closest` are t (s since round 1).
+
+    `zero`: time of t = 0 on the run's clock: start of round 1, or the launch if round 1 did not begin. `ended`: why the
+    mission ended: completed, stopped (all agents ended by themselves), died (before the start), timeout (no start),
+    interrupted, idle (see idle.py)."""
 
     started: bool
     ended: str
@@ -66,11 +71,11 @@ class Outcome:
     real_time_factor: float
     late_steps: int
     steps: int
-    late_in_mission: int = 0  # of the late steps: at a start and an end processes need more than in between
-    waiting: dict[str, str] = field(default_factory=dict)  # robot -> what it waited for, when there was no start
-    last_lines: dict[str, list[str]] = field(default_factory=dict)  # of those that failed
+    late_in_mission: int = 0  # late steps within the mission; start and end load the host more
+    waiting: dict[str, str] = field(default_factory=dict)  # robot -> its phase, if round 1 did not begin
+    last_lines: dict[str, list[str]] = field(default_factory=dict)  # of robots that failed
     statuses: dict[str, int | None] = field(default_factory=dict)
-    shares: dict[str, float] = field(default_factory=dict)  # of the processor's time, by part, in lockstep
+    shares: dict[str, float] = field(default_factory=dict)  # shares of the processor's time, by part, in lockstep
     host_waits: dict[str, float] = field(default_factory=dict)  # see host_load.HostLoad.totals
 
     @property
@@ -79,10 +84,14 @@ class Outcome:
 
 
 class Run:
-    """`folder` gets what the run writes: poses, and a folder of each robot under `robots/`. All times here are those of
-    the run's clock, `conduct.now`; `zero` is when round 1 began, None before. Owns `conduct` and `stage`."""
+    """A run. Owns `conduct` and `scene`.
 
-    def __init__(self, scenario: Scenario, conduct: Conduct, folder: Path, duration: float, progress: Progress) -> None:
+    `folder` receives poses, and a folder for each robot under `robots/`. All times are those of the run's clock,
+    `conduct.now`. `zero` is the start of round 1, None before."""
+
+    def __init__(
+        self, scenario: Scenario, conduct: AgentsAndClock, folder: Path, duration: float, progress: Progress
+    ) -> None:
         self.scenario = scenario
         self.conduct = conduct
         self.companions: list[Companion] = []
@@ -91,52 +100,52 @@ class Run:
         self._duration = duration
         self._progress = progress
         self._interrupts = 0
-        self._finished = ""  # why the mission was ended by a companion
+        self._finished = ""  # a companion's reason for ending the mission
         self._steps = 0
         self._pose_every = max(1, round(1 / (STEP * scenario.number("pose_rate", POSE_RATE))))
-        self._late = 0  # steps of the world, during the mission
+        self._late = 0  # late steps during the mission
         self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
-        self._left: set[str] = set()  # robots that came to rest unasked
-        self._noted: set[tuple[int, str]] = set()  # contacts in logs: the pid, and what it touched
-        self._failed: dict[str, tuple[float, str]] = {}  # robot -> when and how its agent failed
+        self._left: set[str] = set()  # robots that stopped safely without a command
+        self._noted: set[tuple[int, str]] = set()  # contacts written to logs: pid, and the object touched
+        self._failed: dict[str, tuple[float, str]] = {}  # robot -> time and text of its agent's failure
         try:
-            self.stage = conduct.stage()
+            self.scene = conduct.scene()
             self._poses = Poses(self.poses_file)
         except BaseException:
             conduct.close()
             raise
 
     def mark(self, mark: Mark) -> None:
-        """What belongs into the merged trace; its `t` is a time of the run's clock here."""
+        """Add a record to the merged trace; its `t` is a time of the run's clock here."""
         self._marks.append(mark)
 
     @property
     def marks(self) -> Sequence[Mark]:
-        """What companions marked so far, with times of the run's clock."""
+        """Records added by companions so far, with times of the run's clock."""
         return self._marks
 
     @property
     def interrupted(self) -> bool:
-        """True if a signal has asked the run to end."""
+        """True if a signal has requested the end of the run."""
         return self._interrupts > 0
 
     def finish(self, why: str) -> None:
-        """End the mission: `Outcome.ended` will say why."""
+        """End the mission with this reason (`Outcome.ended`)."""
         self._finished = why
 
     def t(self, at: float) -> float | None:
-        """Seconds since the start of round 1, None before that is known."""
+        """Return the seconds since the start of round 1; None before it."""
         return None if self.zero is None else at - self.zero
 
     def execute(self) -> Outcome:
-        """From launch to rest. Raises OSError when the surroundings give way; the agents are gone then, too."""
+        """Run from launch to safe stop. Raises OSError for a failure of the host, after ending all agents."""
         try:
             with self._interruptible():
                 return self._execute()
         finally:
             self.conduct.close()
-            self.stage.close()
+            self.scene.close()
             self._poses.close()
 
     def _execute(self) -> Outcome:
@@ -144,7 +153,7 @@ class Run:
         for companion in self.companions:
             companion.launched(self)
         launched = self.conduct.now()
-        self.conduct.launch(self.stage)
+        self.conduct.launch(self.scene)
         timeout = launched + self.scenario.number("start_timeout", START_TIMEOUT)
         self._progress.step("1 robot is starting" if count == 1 else f"{count} robots are starting")
         ended = self._until(lambda now: self._before_start(now, timeout))
@@ -156,7 +165,7 @@ class Run:
             ended = self._until(lambda now: self._during_mission(now, zero))
             self._late = self.conduct.late - before
         end = self.conduct.now()
-        self._rest(ended)
+        self._stop_safely(ended)
         now = self.conduct.now()
         for companion in self.companions:
             companion.end(now)
@@ -183,7 +192,7 @@ class Run:
         return "" if any(agent.alive or agent.crashed for agent in self.conduct.agents) else "stopped"
 
     def _until(self, done: Callable[[float], str]) -> str:
-        """Go on until `done` says why not; "" when that is the mission's start."""
+        """Advance until `done` returns a reason. Return it, or "" for the mission's start."""
         while True:
             self.conduct.go_on(self._step)
             now = self.conduct.now()
@@ -195,8 +204,8 @@ class Run:
                     return "" if why == "started" else why
 
     def _step(self, at: float) -> None:
-        """One step of the world."""
-        states = self.stage.step(at)
+        """Simulate one step of the world."""
+        states = self.scene.step(at)
         if self._steps % self._pose_every == 0:
             self._poses.write(at, states)
         self._steps += 1
@@ -204,8 +213,8 @@ class Run:
             companion.step(at, states)
 
     def _note_contacts(self) -> None:
-        """Write each first contact into the logs of the robots that touched: a real robot would not know of it."""
-        agents, watch = self.conduct.agents, self.stage.watch
+        """Write each first contact into the logs of the robots concerned: a real robot would not notice it."""
+        agents, watch = self.conduct.agents, self.scene.watch
         found = [(pid, f"obstacle {number}", at) for (pid, number), at in watch.bumps.items()]
         for (i, j), at in watch.collisions.items():
             found += [(i, agents[j].robot.name, at), (j, agents[i].robot.name, at)]
@@ -222,32 +231,32 @@ class Run:
             name = agent.robot.name
             if agent.resting and name not in self._left:
                 self._left.add(name)
-                self._progress.say(f"{name} comes to rest by itself: {agent.resting.detail}")
+                self._progress.say(f"{name} stops safely by itself: {agent.resting.detail}")
             failure = agent.failure()
             if failure and name not in self._failed:
                 since = agent.resting.time if agent.resting and not agent.killed else now
                 self._failed[name] = (since, failure)
                 self._progress.say(f"{name} {failure}")
-        self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.stage.watch, self.conduct.factor)
+        self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.scene.watch, self.conduct.factor)
 
-    def _hear(self, agent: Agent) -> bool:
-        """Take what an agent has traced; whether there was anything."""
+    def _hear(self, agent: AgentHandle) -> bool:
+        """Pass an agent's new records to the companions. Return whether there were any."""
         records = agent.look()
         if records:
             for companion in self.companions:
                 companion.heard(agent, records)
         return bool(records)
 
-    def _rest(self, ended: str) -> None:
-        """Tell the agents to come to rest, and give them the world and the time for it."""
+    def _stop_safely(self, ended: str) -> None:
+        """Tell the agents to stop safely, and advance the world until they have."""
         if ended == "completed":
-            self._progress.step("the mission is over, robots come to rest")
+            self._progress.step("the mission is over, robots stop safely")
         else:
             self._progress.say(f"{ended}: ending")
         for agent in self.conduct.agents:
             self._hear(agent)
-            agent.tell_end()
-        deadline = self.conduct.now() + REST_WITHIN
+            agent.request_end()
+        deadline = self.conduct.now() + STOP_WITHIN
         hurry = self._interrupts + 1
 
         def rested(now: float) -> str:
@@ -264,7 +273,7 @@ class Run:
 
     def _outcome(self, ended: str, zero: float, end: float, waiting: dict[str, str]) -> Outcome:
         now = self.conduct.now()
-        watch = self.stage.watch
+        watch = self.scene.watch
         names = [robot.name for robot in self.scenario.robots]
 
         def t(time: float) -> float:
@@ -286,7 +295,7 @@ class Run:
             if fault is not None:
                 marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
-            if ended_itself and not self.stage.standing(pid):
+            if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
                 marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
         found = watch.closest
@@ -310,8 +319,10 @@ class Run:
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
-        """Ctrl-C and SIGTERM end the run in order; a second one does not wait for robots to come to rest, a third
-        for nothing: in lockstep a user's code may be what it hangs in. Raises KeyboardInterrupt then."""
+        """Context manager in which signals end the run.
+
+        The first Ctrl-C or SIGTERM ends the mission, the second does not wait for the safe stop, the third raises
+        KeyboardInterrupt: in lockstep, the user's code may hang."""
 
         def count(number: int, frame: FrameType | None) -> None:
             self._interrupts += 1

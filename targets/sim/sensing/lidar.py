@@ -1,4 +1,4 @@
-"""The simulated lidar of a robot: what stands around it in the world, sent as a real one's driver sends it."""
+"""Simulated lidar of a robot: ranges in the simulated world, sent in the format of a real driver."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from koordgen.runtime.vehicle.scans import MOST_RAYS, Sweep, encode, packed
 from targets.sim.base.bodies import BodyState, DeviceContext, Vector
 from targets.sim.base.ports import Port
 from targets.sim.base.scenario import BadScenario, Lidar
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import Rigid, World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import Rigid, SimulatedWorld
 
-SETTING = "scans"  # of a robot, which is pointed at the lidar
+SETTING = "scans"  # setting of a robot that holds the lidar's address
 
 
-class Carrier(Protocol):
-    """The body that a lidar is mounted on."""
+class LidarCarrier(Protocol):
+    """Body on which a lidar is mounted."""
 
     rigid: Rigid
 
@@ -27,12 +27,19 @@ class Carrier(Protocol):
 
 
 class SimulatedLidar:
-    """targets.sim.base.bodies.Device: turns at `lidar.rate`, with `lidar.noise` (m, standard deviation; None: the
-    harness's `position_noise`) in every range and `position_noise` in the position that is told with it. Its turns
-    begin at a moment of its own, or all robots' would in one step. Raises BadScenario."""
+    """Device that simulates a lidar with `lidar.rate` turns a second.
+
+    Ranges have `lidar.noise` (m, standard deviation; None: the harness's `position_noise`), the position sent with them
+    has `position_noise`. The first turn begins at a random time, so that the lidars of all robots do not turn in the
+    same step. Raises BadScenario."""
 
     def __init__(
-        self, world: World, body: Carrier, context: DeviceContext, lidar: Lidar | None = None, port: Port | None = None
+        self,
+        world: SimulatedWorld,
+        body: LidarCarrier,
+        context: DeviceContext,
+        lidar: Lidar | None = None,
+        port: Port | None = None,
     ) -> None:
         lidar = lidar or Lidar()
         if lidar.rays > MOST_RAYS:
@@ -45,7 +52,7 @@ class SimulatedLidar:
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._range_noise = self._noise if lidar.noise is None else lidar.noise
         self._rays, self._range, self._period = lidar.rays, lidar.range, 1.0 / lidar.rate
-        # A noisy range of something is never taken for the range of nothing.
+        # A noisy hit must never reach the value that stands for no hit.
         self._farthest = lidar.range * (1 - 1e-6)
         self._random = random.Random(f"{context.seed} {context.robot} lidar")
         self._next = self._random.uniform(0.0, self._period)
@@ -56,12 +63,14 @@ class SimulatedLidar:
             self.overrides = {SETTING: f"udp:127.0.0.1:{port.number}"}
         self._port = port
 
-    def look(self) -> tuple[Vector, list[float | None]]:
-        """The robot's true position, and how far (m) each ray goes from there, level with the middle of its body, until
-        another robot or an obstacle; None: beyond its range. Neither the floor nor the robot itself ends a ray."""
+    def cast_rays(self) -> tuple[Vector, list[float | None]]:
+        """Return the robot's true position and the range (m) of each ray, None without a hit.
+
+        Rays start there, at the height of the middle of the body, and end at another robot or an obstacle, not at the
+        floor or the robot itself."""
         position, height = self._body.state().position, self._body.rigid.motion().position[2]
         place = (position[0], position[1], height)
-        (found,) = self._world.look([Eye(place, self._rays, self._range, self._body.rigid.number)])
+        (found,) = self._world.cast_rays([LidarMount(place, self._rays, self._range, self._body.rigid.number)])
         return position, [None if r == math.inf else r for r in found.tolist()]
 
     def step(self, now: float) -> None:
@@ -72,7 +81,7 @@ class SimulatedLidar:
         self._port.send(self._turn())
 
     def _turn(self) -> bytes:
-        position, found = self.look()
+        position, found = self.cast_rays()
         gauss, noise, farthest = self._random.gauss, self._range_noise, self._farthest
         ranges = [self._range if r is None else min(farthest, r + gauss(0.0, noise)) for r in found]
         place = Point(*(v + gauss(0.0, self._noise) for v in position))

@@ -1,4 +1,6 @@
-"""The simulated base station: measures a body's pose and sends it to the robot's agent, as motion capture does."""
+"""Simulated base station.
+
+Measures a body's pose and sends it to the robot's agent, as motion capture does."""
 
 from __future__ import annotations
 
@@ -14,40 +16,41 @@ from koordgen.runtime.vehicle.feed import Sample, encode
 from targets.sim.base.bodies import BodyState, DeviceContext
 
 FEED_PERIOD = 0.02  # seconds
-BASELINE = 0.33  # metres between the two markers that tell a body's yaw
+BASELINE = 0.33  # metres between the two markers from which the yaw is measured
 
 
-class Carrier(Protocol):
-    """The body that carries the markers."""
+class MarkerCarrier(Protocol):
+    """Body that carries the markers."""
 
     def state(self) -> BodyState: ...
 
 
 class BaseStation:
-    """Measures a body's pose with seeded noise, 50 times a second: `position_noise` metres (standard deviation) in each
-    direction; the yaw error is that of two such markers. What was measured is told `position_delay` seconds later, and
-    not how late that is: what real systems take from the cameras to the network they do not tell either. All of that is
-    worse while the robot is upset."""
+    """Pose measurement with seeded noise, 50 times a second.
 
-    def __init__(self, body: Carrier, context: DeviceContext) -> None:
+    `position_noise`: standard deviation in metres, in each direction; the yaw error is that of two such markers. A
+    measurement is sent `position_delay` seconds later, without that delay in its time stamp: real systems do not report
+    the latency from camera to network either. Injected faults of the robot add to all errors."""
+
+    def __init__(self, body: MarkerCarrier, context: DeviceContext) -> None:
         self._body = body
         self._robot = context.robot
         self._key, self._application = context.key, context.application
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._delay = float(context.harness.get("position_delay", 0.0))
-        self._upset = context.upset
+        self._fault_state = context.fault_state
         self._random = random.Random(f"{context.seed} {context.robot} position")
         self._sequence = 0
         self._next = -math.inf
         self._measured: deque[tuple[float, Pose]] = deque()
 
     def sample(self, now: float, sent: float) -> bytes | None:
-        """The datagram that is due, if one is; `now` is the world's time, `sent` the sender's clock."""
+        """Return the datagram that is due, or None. `now` is the world's time, `sent` the sender's clock."""
         if now >= self._next:
             self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
             pose = self._measure()
             if pose is not None:
-                self._measured.append((now + self._delay + self._upset.positioning.delay, pose))
+                self._measured.append((now + self._delay + self._fault_state.positioning.delay, pose))
         if not self._measured or now < self._measured[0][0]:
             return None
         self._sequence += 1
@@ -57,19 +60,20 @@ class BaseStation:
 
     def _measure(self) -> Pose | None:
         state = self._body.state()
-        place = self._upset.measured(state.position, self._noise, self._random)
+        place = self._fault_state.measured(state.position, self._noise, self._random)
         if place is None:
             return None
         return Pose(Point(*place), state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / BASELINE))
 
 
 class SimulatedFeed:
-    """targets.sim.base.bodies.Device: a base station, and the port to which the agent's `setting` is pointed. One
-    process runs the whole world, so its `session` is 1. Samples are stamped by the host's `clock`: to agents, which
-    live by it, a world that cannot keep up with it would seem to send what is old."""
+    """Device of a base station with the port that the agent's `setting` names.
+
+    One process runs the whole world, so its `session` is 1. Samples are stamped by the host's `clock`: with the time of
+    a slow world, agents would reject them as old."""
 
     def __init__(
-        self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
+        self, body: MarkerCarrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
     ) -> None:
         self._station = BaseStation(body, context)
         self._clock = clock
@@ -88,7 +92,7 @@ class SimulatedFeed:
 
 
 def fed(settings: Mapping[str, Any]) -> str:
-    """The setting of a robot that says where its poses arrive; "" when it takes none."""
+    """Return the robot's setting with the address of its pose feed; "" if it has none."""
     if "position" in settings:
         return "position"
     return "feed" if settings.get("positioning", "own") != "own" else ""

@@ -1,8 +1,7 @@
-"""Beliefs: what each robot knew at a time: its sensors, locals, actuators and its copy of the shared store.
+"""Beliefs: sensors, locals, actuators and copy of the shared store that each robot had at a time.
 
-A robot's record of a round has what changed in its copy before its event, and what the event wrote. Taken in one after
-the other, records give the whole at each time.
-"""
+A robot's record of a round has the changes of its copy before its event, and the event's writes. All records up to a
+time, applied in order, give the values at that time."""
 
 from __future__ import annotations
 
@@ -14,13 +13,13 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header, Init, OfRobot, Phase, Pose, Round, TraceRecord, Values
 
-IDLE = "no event enabled"  # reason for which a robot with a current copy of the store skipped a round
+IDLE = "no event enabled"  # reason why a robot with a current copy of the store skipped a round
 Of = Literal["sensor", "local", "actuator", "shared"]
 _decoder = msgspec.json.Decoder()
 
 
 class Change(msgspec.Struct, frozen=True):
-    """From now on a robot has this value. `slot` is the pid whose slot of an allread variable it is, else None."""
+    """A new value of a robot. `slot`: owner (pid) of the slot of an allread variable, otherwise None."""
 
     of: Of
     name: str
@@ -30,8 +29,10 @@ class Change(msgspec.Struct, frozen=True):
 
 @dataclass(slots=True)
 class Belief:
-    """One robot at a time. `round` is its present one, 0 before the first, `did` what came of it, in words; `copied` is
-    the last round in which it looked at its copy. Of an allread variable `shared` has a dict by pid."""
+    """Values of one robot at a time.
+
+    `round`: present round, 0 before the first. `did`: its result as text. `copied`: last round with a current copy of
+    the store. `shared` has a dict by pid for an allread variable."""
 
     position: tuple[float, float, float] | None = None  # the truth (m, local ENU)
     phase: str = ""
@@ -45,14 +46,14 @@ class Belief:
 
 
 class Beliefs:
-    """All robots, by pid; `take` records in the order of the trace."""
+    """Beliefs of all robots, by pid. Records must be applied in the order of the trace."""
 
     def __init__(self, header: Header) -> None:
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self.robots = {robot.pid: Belief() for robot in header.robots}
 
     def take(self, record: TraceRecord) -> list[Change]:
-        """Take in one record; return what it changed."""
+        """Apply a record. Return the values that it changed."""
         belief = self.robots.get(record.pid) if isinstance(record, OfRobot) else None
         if belief is None:
             return []
@@ -91,7 +92,7 @@ class Beliefs:
             yield Change("shared", name, pid if name in self._slots else None, _decoder.decode(raw))
 
     def _apply(self, belief: Belief, changes: Iterator[Change]) -> list[Change]:
-        """Keep the last value of each; return those that are new."""
+        """Apply the last value of each variable. Return the changes that are new."""
         found = {(change.of, change.name, change.slot): change for change in changes}
         return [change for change in found.values() if _set(belief, change)]
 
@@ -101,7 +102,7 @@ def _own(of: Of, values: Values) -> Iterator[Change]:
 
 
 def _set(belief: Belief, change: Change) -> bool:
-    """Keep the value; return whether it is another than before."""
+    """Set a value. Return whether it differs from the old one."""
     groups = {"sensor": belief.sensors, "local": belief.locals, "actuator": belief.actuators, "shared": belief.shared}
     group = groups[change.of]
     key: Any = change.name

@@ -1,9 +1,10 @@
-"""Merged trace of a fleet that flew: what each robot wrote by itself, on its own clock, as the trace of one run.
+"""Merged trace of a real fleet.
 
-Rounds are the fleet's time: round r begins at t = (r - 1) * delta on every robot. So each of a robot's records of a
-round says how its clock stands to the fleet's, and records between two rounds are placed by the round before them.
-Nobody saw the truth: poses are those that the robots measured.
-"""
+Joins the robots' own traces, each on its own clock, into the trace of one run.
+
+Rounds are the fleet's time: round r begins at t = (r - 1) * delta on every robot. So each record of a round gives the
+offset of the robot's clock to the fleet's; records between two rounds use the offset of the round before. There is no
+ground truth: poses are those that the robots measured."""
 
 from __future__ import annotations
 
@@ -33,11 +34,11 @@ from targets.sim.trace.files import at, time_of
 
 _place_and_yaw = msgspec.json.Decoder(tuple[Vector, float])
 _position = msgspec.json.Decoder(Vector)
-_AGAIN = (b'{"kind":"phase"', b'{"kind":"view"')  # a later part of a trace repeats these
+_AGAIN = (b'{"kind":"phase"', b'{"kind":"view"')  # kinds of records that each part of a trace repeats
 
 
 class _Place(NamedTuple):
-    """A record's time on the robot's clock (s), and where it is: file by number, offset in bytes."""
+    """Position of a record: time on the robot's clock (s), number of its file, offset in bytes."""
 
     time: float
     file: int
@@ -45,7 +46,7 @@ class _Place(NamedTuple):
 
 
 class _Clock:
-    """One start of a robot's agent: the time of t = 0 on its clock, as each of its rounds says it."""
+    """Clock of one start of an agent: the time of t = 0 on it, as each of its rounds gives it."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -55,7 +56,7 @@ class _Clock:
         return bool(self._times)
 
     def round(self, record: Round, delta: float) -> None:
-        """Note a round; records come in ascending order of time, but for some that are placed by their neighbours."""
+        """Add a round. Rounds come in order of time, except for some that use the offset of their neighbours."""
         if not self._times or record.time > self._times[-1]:
             self._times.append(record.time)
             self._zeros.append(record.time - record.late - (record.round - 1) * delta)
@@ -66,9 +67,10 @@ class _Clock:
 
 
 def merge(path: Path, header: Mapping[str, Any], traces: Sequence[Sequence[Path]], end: float) -> None:
-    """Write the merged trace: `header` as plain values, `traces` are each robot's files in the order of pids, oldest
-    first, all of one mission; `end` is the mission's end (s since round 1). Lines that are no records are left out.
-    Raises OSError."""
+    """Write the merged trace.
+
+    `header`: plain values. `traces`: each robot's files in the order of pids, oldest first, all of one mission. `end`:
+    the mission's end (s since round 1). Invalid lines are left out. Raises OSError."""
     head = msgspec.convert(header, Header)
     streams = [_records(files, pid, head.delta, head.app) for pid, files in enumerate(traces)]
     with path.open("wb") as out:
@@ -79,9 +81,10 @@ def merge(path: Path, header: Mapping[str, Any], traces: Sequence[Sequence[Path]
 
 
 def _records(files: Sequence[Path], pid: int, delta: float, application: str) -> Iterator[tuple[float, bytes]]:
-    """One robot's records by fleet time, those of one time as the robot wrote them; before each round the pose that
-    the robot measured at its start."""
-    places, clocks = _looked_through(files, delta)
+    """Yield one robot's records by fleet time, in the robot's order for equal times.
+
+    Before each round comes the pose that the robot measured at its start."""
+    places, clocks = _index_records(files, delta)
     ordered = sorted((clocks[place.file].t(place.time), place) for place in places if clocks[place.file])
     opened = [path.open("rb") for path in files]
     try:
@@ -97,8 +100,10 @@ def _records(files: Sequence[Path], pid: int, delta: float, application: str) ->
             file.close()
 
 
-def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], list[_Clock]]:
-    """Return where each record is, and each file's clock; a part without rounds has the clock of the part before."""
+def _index_records(files: Sequence[Path], delta: float) -> tuple[list[_Place], list[_Clock]]:
+    """Return the place of each record and each file's clock.
+
+    A part without rounds uses the clock of the part before."""
     places: list[_Place] = []
     clocks: list[_Clock] = []
     seen: set[bytes] = set()
@@ -121,8 +126,8 @@ def _looked_through(files: Sequence[Path], delta: float) -> tuple[list[_Place], 
 
 
 def _pose(sensors: Values) -> tuple[Vector, float] | None:
-    """Return position (m, local ENU) and yaw (rad) by the sensors of a motion module: `pose`, else `position`."""
-    with suppress(msgspec.ValidationError):  # null where it was not finite
+    """Return position (m, local ENU) and yaw (rad) from a motion module's `pose` or `position`."""
+    with suppress(msgspec.ValidationError):  # null for a value that was not finite
         for port, value in sensors.items():
             if port.endswith(".pose"):
                 return _place_and_yaw.decode(value)

@@ -1,8 +1,7 @@
-"""Files of a run: the agents' traces while they grow, the poses, and the one merged trace, read and written.
+"""Files of a run: growing traces of agents, poses, and the merged trace, read and written.
 
-`koordgen/runtime/trace/schema.py` has the records. In an agent's file `time` is the run's clock: in real time the
-host's, in lockstep from 0.
-"""
+The records are defined in `koordgen/runtime/trace/schema.py`. In an agent's file `time` is the run's clock: that of the
+host in real time, simulated time from 0 in lockstep."""
 
 from __future__ import annotations
 
@@ -36,28 +35,30 @@ from koordgen.runtime.trace.schema import (
 )
 from targets.sim.base.bodies import BodyState
 
-LATE = 0.5  # of delta: a round decided later than this is late
-MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
+LATE = 0.5  # share of delta: a round decided later than this is late
+MOST_AT_ONCE = 1 << 20  # bytes of one file per call
 
 
-class _Timed(msgspec.Struct):
-    """Time of a record of a robot's own trace, of any kind."""
+class _TimeField(msgspec.Struct):
+    """Time field of a record of any kind in a robot's own trace."""
 
     time: float | None = None
 
 
-_time = msgspec.json.Decoder(_Timed)
+_time = msgspec.json.Decoder(_TimeField)
 _raw = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
 def was_late(record: Round, delta: float) -> bool:
-    """Return whether a round was decided later than it should be: one that waits for others is, at the deadline."""
+    """Return whether a round was decided late.
+
+    A round that waits for peers until the deadline does not count."""
     waited = (record.skipped or "").startswith(("not current", "not confirmed"))
     return record.late > LATE * delta and not waited
 
 
 class Tail:
-    """Follows a file that an agent is writing; what is no record is counted and passed over."""
+    """Incremental reader of a file that an agent is writing. Malformed lines are counted and skipped."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -66,7 +67,7 @@ class Tail:
         self.malformed = 0
 
     def read(self) -> list[TraceRecord]:
-        """The records written since the last time."""
+        """Return the records written since the last call."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
@@ -78,7 +79,7 @@ class Tail:
         found: list[TraceRecord] = []
         for line in lines:
             try:
-                # An agent's header says other things than the merged file's.
+                # An agent's own header differs from that of the merged trace.
                 if not line.startswith(HEADER) and (record := decoded(line)) is not None:
                     found.append(record)
             except msgspec.DecodeError:
@@ -87,7 +88,7 @@ class Tail:
 
 
 class Poses:
-    """Writes poses to a file of their own while the run goes on, with host times."""
+    """Writer of poses to a file of their own during the run, with times of the run's clock."""
 
     def __init__(self, path: Path) -> None:
         self._file: IO[bytes] = path.open("wb")
@@ -103,12 +104,13 @@ class Poses:
 
 
 def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:
-    """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
-    their pids. Raises OSError."""
+    """Write the merged trace: all records ordered by time.
+
+    `zero` is the time of t = 0. `agents` are the agents' files in the order of pids. Raises OSError."""
     streams = [
-        _marked(marks, header.app),
-        _posed(poses, zero),
-        *(_told(file, zero, pid) for pid, file in enumerate(agents)),
+        _mark_records(marks, header.app),
+        _pose_records(poses, zero),
+        *(_agent_records(file, zero, pid) for pid, file in enumerate(agents)),
     ]
     with path.open("wb") as out:
         out.write(encoded(header) + b"\n")
@@ -117,7 +119,8 @@ def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Pat
 
 
 def at(line: bytes, t: float, pid: int) -> bytes:
-    """Return a record of a robot's own trace as the merged one has it; one of a pid below 0 names its robot itself.
+    """Convert a record of a robot's own trace to the merged form; a negative pid leaves the record's own.
+
     Raises msgspec.DecodeError."""
     record = _raw.decode(line)
     own = {"kind": record.pop("kind"), "t": t, **({} if pid < 0 else {"pid": pid})}
@@ -126,8 +129,7 @@ def at(line: bytes, t: float, pid: int) -> bytes:
 
 
 def time_of(line: bytes) -> float | None:
-    """Return when a record of a robot's own trace was written, by its clock (s); None of a header, and of a line that
-    is no record."""
+    """Return the time of a record on its robot's clock (s); None for a header and for an invalid line."""
     if not line.endswith(b"\n") or line.startswith(HEADER):
         return None
     with suppress(ValueError, RecursionError):
@@ -137,7 +139,7 @@ def time_of(line: bytes) -> float | None:
     return None
 
 
-def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
+def _mark_records(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         if isinstance(mark, Verdict) or (isinstance(mark, Violation) and mark.what in OF_EVENTS):
             yield mark.t, encoded(msgspec.structs.replace(mark, application=application))
@@ -145,8 +147,8 @@ def _marked(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]
             yield mark.t, encoded(mark)
 
 
-def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
-    """Written by the run itself, so in order; whatever is broken raises."""
+def _pose_records(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
+    """Yield the run's own poses, which are in order. An invalid line raises."""
     if path.exists():
         with path.open("rb") as file:
             for line in file:
@@ -155,9 +157,11 @@ def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
                     yield t, at(line, t, -1)
 
 
-def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
-    """An agent's records by time, those of one time as it wrote them. It writes a round when that is certain, behind
-    later records of other kinds; how far behind depends on its peers. So the file is looked through first."""
+def _agent_records(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
+    """Yield an agent's records by time, in its order for equal times.
+
+    The agent writes a round when it is committed, after later records of other kinds; how much later depends on its
+    peers. So the file is read twice: for the times, then in order."""
     if not path.exists():
         return
     places: list[tuple[float, int]] = []
@@ -175,18 +179,22 @@ def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
 
 
 def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:
-    """Return a merged trace's header, and everything else in order, but for kinds that are not known here. Raises
-    BadTrace, also while being read."""
+    """Return a merged trace's header, and its other records in order, without unknown kinds.
+
+    Raises BadTrace, also during iteration."""
     found = lines(path)
     _, _, header = next(found)
     if not isinstance(header, Header):
-        raise BadTrace(f"{path}: no header of a run's trace; it is a robot's own")
+        raise BadTrace(f"{path}: the header is that of a robot's own trace, not of a run's")
     return header, (record for _, _, record in found if record is not None and not isinstance(record, RobotHeader))
 
 
 def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | None]]:
-    """Each line of a trace in the present format, with its number and its record; None of a kind that is not known
-    here. The first is a header. Raises BadTrace."""
+    """Yield each line of a trace in the present format, with its number and record.
+
+    None for an unknown kind.
+
+    The first record is a header. Raises BadTrace."""
     upgrade, number, line = Upgrade(), 0, b""
     try:
         with path.open("rb") as file:
@@ -206,7 +214,7 @@ def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | 
 
 
 def upgrade(path: Path, made: Path) -> str:
-    """Write a trace in the present format to `made`; return the format that it has. Raises BadTrace, OSError."""
+    """Write a trace in the present format to `made`. Return its old format. Raises BadTrace, OSError."""
     with path.open("rb") as file:
         first = file.readline()
     with made.open("wb") as out:

@@ -1,9 +1,9 @@
-"""The fleet's true state, round by round: what each robot has of its own, and the shared store S, from what the agents
-traced. Where bodies are is the world's to say (watch.py).
+"""True state of the fleet, round by round.
 
-S of a round is S of the one before with that round's writes: first the commits of atomic events, then the plain events
-by ascending pid, as the agents themselves apply them.
-"""
+Each robot's private values and the shared store S, from traces.
+
+Positions of bodies are not included: the world has them (watch.py). S of a round is S of the round before with that
+round's writes: first the commits of atomic events, then the plain events by ascending pid, as the agents apply them."""
 
 from __future__ import annotations
 
@@ -18,25 +18,27 @@ from koordgen.runtime.program.property import UNKNOWN
 from koordgen.runtime.trace.schema import Init, Round, Values
 from koordgen.runtime.values.points import Grid, Point
 
-# What a planner is asked with: a goal, and obstacles as cells.
-_ASKED: tuple[Any, ...] = (msgspec.json.Decoder(Point), msgspec.json.Decoder(tuple[Grid, ...]))
+# Arguments of a planner call: a goal, and obstacles as cells.
+_CALL_ARGUMENTS: tuple[Any, ...] = (msgspec.json.Decoder(Point), msgspec.json.Decoder(tuple[Grid, ...]))
 _by_pid = msgspec.json.Decoder(dict[str, msgspec.Raw])
 
 
 @dataclass(slots=True)
 class _Robot:
-    """What one robot has told. `rounds` wait to be applied."""
+    """Records of one robot. `rounds` wait to be applied."""
 
     init: Init | None = None
-    told: int = 0  # the last round that it told of
+    told: int = 0  # the last recorded round
     rounds: dict[int, Round] = field(default_factory=dict)
-    calls: Calls = ()  # in the round that was applied last
+    calls: Calls = ()  # in the round applied last
 
 
 class Truth:
-    """`values` by name: of a local variable, an actuator, a sensor and an allread variable a list by pid, of an
-    allwrite variable its value; UNKNOWN where nobody has told. Sensors are as sampled at the start of `round`, the last
-    one that was applied, everything else as after it; of round 0, after `init`."""
+    """Values of all variables and ports after a round.
+
+    `values` by name: a list by pid for a local variable, an actuator, a sensor and an allread variable, one value for
+    an allwrite variable; UNKNOWN without a record. Sensors are as sampled at the start of `round`, the last round
+    applied; all others are as after it. Round 0 is `init`."""
 
     def __init__(self, program: Program, n: int) -> None:
         self.round = -1
@@ -49,7 +51,7 @@ class Truth:
         self._decoders: dict[str, Any] = {v.name: msgspec.json.Decoder(v.type) for v in typed}
 
     def hear(self, pid: int, record: Init | Round) -> None:
-        """What an agent has traced, in its order."""
+        """Add a record of an agent. Call in its order."""
         robot = self._robots[pid]
         if isinstance(record, Init):
             robot.init = record
@@ -58,16 +60,16 @@ class Truth:
             robot.rounds[record.round] = record
 
     def told(self, pid: int) -> int:
-        """The last round that a robot told of; -1 before its `init`."""
+        """Return the last recorded round of a robot; -1 before its `init`."""
         robot = self._robots[pid]
         return robot.told if robot.told or robot.init is not None else -1
 
     def calls(self, pid: int) -> Calls:
-        """The robot's calls of callable ports in `round`."""
+        """Return the robot's calls of callable ports in `round`."""
         return self._robots[pid].calls
 
     def begin(self) -> None:
-        """Before `init`: first values everywhere, actuators unset."""
+        """Set the values before `init`: initial values, and actuators unset."""
         n = len(self._robots)
         inits = [robot.init for robot in self._robots]
         for variable in self._program.locals:
@@ -82,7 +84,7 @@ class Truth:
                 self.values[port.name] = [self._unset(port.name, init) for init in inits]
 
     def advance(self) -> None:
-        """Apply the next round's records, as far as they are here; round 0 is `init`."""
+        """Apply the available records of the next round; round 0 is `init`."""
         self.round += 1
         if self.round == 0:
             for pid, robot in enumerate(self._robots):
@@ -98,12 +100,12 @@ class Truth:
             self._apply(pid, record)
 
     def sensed(self, pid: int, name: str, round_: int) -> Any:
-        """A sensor as a robot sampled it at the start of a later round than `round`; UNKNOWN when it has not told."""
+        """Return a sensor as sampled at the start of a round after `round`; UNKNOWN without a record."""
         record = self._robots[pid].rounds.get(round_)
         return UNKNOWN if record is None else self._read(name, record.sensors)
 
     def _due(self, robot: _Robot) -> list[Round]:
-        """What came late is applied late."""
+        """Return the records to apply now. A late record is applied late."""
         robot.calls = ()
         return [robot.rounds.pop(round_) for round_ in sorted(robot.rounds) if round_ <= self.round]
 
@@ -137,7 +139,7 @@ class Truth:
                 self.values[name] = value
 
     def _repair(self, copies: Iterable[Values]) -> None:
-        """A robot that is gone may have written what it told nobody but the others: in their copies it is seen."""
+        """Recover writes of a robot that is gone from the copies of the others."""
         for copy in copies:
             for name, raw in copy.items():
                 if name in self._slots:
@@ -147,7 +149,7 @@ class Truth:
                     self.values[name] = self._one(name, raw)
 
     def _unset(self, name: str, init: Init | None) -> Any:
-        """What an actuator has before it is written: some hold at what a sensor says."""
+        """Return an actuator's value before it is written: some hold the value of a sensor."""
         port = next(p for p in self._program.ports if p.name == name)
         if port.held and init is not None:
             known = port.held in init.sensors
@@ -158,7 +160,7 @@ class Truth:
         return self._one(name, values[name]) if name in values else UNKNOWN
 
     def _one(self, name: str, raw: msgspec.Raw) -> Any:
-        """A sensor's NaN and infinity are null in a trace, and not known here."""
+        """Decode a value. A sensor's NaN and infinity are null in a trace and UNKNOWN here."""
         try:
             return self._decoders[name].decode(raw)
         except msgspec.ValidationError:
@@ -166,4 +168,4 @@ class Truth:
 
 
 def _arguments(args: tuple[msgspec.Raw, ...]) -> tuple[Any, ...]:
-    return tuple(decoder.decode(raw) for decoder, raw in zip(_ASKED, args, strict=False))
+    return tuple(decoder.decode(raw) for decoder, raw in zip(_CALL_ARGUMENTS, args, strict=False))

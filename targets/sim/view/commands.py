@@ -1,4 +1,4 @@
-"""Commands on a run that is over: `koordgen report`, `koordgen export` and `koordgen show`."""
+"""Commands on a finished run: `koordgen report`, `koordgen export` and `koordgen show`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ FORMATS = ("mcap", "csv", "png", "gif", "mp4")
 
 
 def report(given: str, out: str | None) -> Path:
-    """Write the report of a run's folder or merged trace; beside the trace unless `out` says where. Raises BadTrace,
-    OSError."""
+    """Write the report of a run's folder or merged trace to `out`, by default beside the trace.
+
+    Raises BadTrace, OSError."""
     from targets.sim.view.web import report
 
     trace = _found(given)
@@ -30,8 +31,10 @@ def report(given: str, out: str | None) -> Path:
 
 
 def export(given: str, to: str, out: str | None) -> Path:
-    """Write a run's folder or merged trace as another format, one of FORMATS: tables and pictures into a folder, all
-    else into a file; beside the trace unless `out` says where. Raises BadTrace, CannotMake, OSError."""
+    """Write a run's folder or merged trace in another format, one of FORMATS.
+
+    Tables and pictures become a folder, others a file; by default beside the trace. Raises BadTrace, CannotMake,
+    OSError."""
     from targets.sim.trace.files import read
 
     trace = _found(given)
@@ -43,8 +46,9 @@ def export(given: str, to: str, out: str | None) -> Path:
 
 
 def show(given: str, at: float | None, form: str) -> str:
-    """Return what each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`;
-    without a time at the first violation, else at the mission's end. Raises BadTrace."""
+    """Return the values that each robot knew at a time (s since round 1), as `text` or `json`.
+
+    Without a time: at the first violation, otherwise at the mission's end. Raises BadTrace."""
     from targets.sim.trace.files import read
     from targets.sim.view.data import show
 
@@ -54,8 +58,9 @@ def show(given: str, at: float | None, form: str) -> str:
 
 
 def upgrade(given: str, out: str | None) -> tuple[Path, str]:
-    """Write any trace, of a run, a robot or a counterexample, in the present format; beside the trace unless `out` says
-    where. Return the new file, and the format that the trace had. Raises BadTrace, OSError."""
+    """Write any trace (of a run, a robot or a counterexample) in the present format.
+
+    `out` is by default beside the trace. Returns the new file, and the old format. Raises BadTrace, OSError."""
     from koordgen.runtime.trace.schema import FORMAT
     from targets.sim.trace.files import upgrade
 
@@ -90,9 +95,10 @@ def _write(to: str, path: Path, header: Header, records: Iterator[TraceRecord]) 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Where to write what is to stand at `path`, a file or a folder of files: beside it, and moved there when all of it
-    is written, so that there is never half of it and what stood there is lost to nothing that failed. What is no file
-    (`/dev/stdout`) is written as it is. Raises OSError, which names `path`."""
+    """Context manager that yields a temporary path and moves the result to `path` on success.
+
+    `path` is a file or a folder of files. So it never holds half a result, and a failure loses nothing that was there.
+    A path that is no regular file (`/dev/stdout`) is written directly. Raises OSError that names `path`."""
     if path.exists() and not path.is_file() and not path.is_dir():
         yield path
         return
@@ -116,6 +122,6 @@ def _moved(made: Path, target: Path) -> None:
 
 
 def _found(given: str) -> Path:
-    """The trace that is meant: a file, or the one in a run's folder."""
+    """Return the path of the trace: a file, or the one in a run's folder."""
     path = Path(given)
     return path / TRACE if path.is_dir() else path

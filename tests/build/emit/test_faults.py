@@ -97,7 +97,7 @@ local: int i = 1
         ("def f(a): return 3.5", "f returned 3.5, not an int"),
         ("def f(a): return True", "f returned True, not an int"),
         ("def f(a): return None", "f returned None, not an int"),
-        ("def f(a): return a", "f returned 1, against what it ensures (line 3)"),
+        ("def f(a): return a", "f returned 1, which breaks its postcondition (line 3)"),
         ("def f(a): raise ValueError('no such thing')", "f raised ValueError: no such thing"),
         ("def f(a): raise SystemExit(3)", "f raised SystemExit: 3"),
         ("def f(a): raise KeyboardInterrupt", "f raised KeyboardInterrupt: "),
@@ -116,7 +116,7 @@ def test_a_fault_in_an_extern_function_names_the_line_of_its_call(functions: str
 
 def test_what_an_extern_function_requires_is_checked_before_the_call() -> None:
     found = fault(EXTERN.replace("i = 1", "i = 5"), "def f(a): raise ValueError")
-    assert found.reason == "f was called although what it requires (line 2) does not hold"
+    assert found.reason == "f was called although its precondition (line 2) does not hold"
 
 
 def test_functions_that_are_not_there() -> None:

@@ -224,8 +224,8 @@ E:
     [
         (0.0, 2.0, 5, ""),
         (0.0, 1.0, 1, ""),
-        (-1.0, 2.0, 1, "far was called although what it requires (line 3) does not hold"),
-        (0.0, 1.0, 5, "far returned 5, against what it ensures (line 4)"),
+        (-1.0, 2.0, 1, "far was called although its precondition (line 3) does not hold"),
+        (0.0, 1.0, 5, "far returned 5, which breaks its postcondition (line 4)"),
     ],
 )
 def test_quantifiers_in_contracts_are_checked_at_run_time(z: float, spot: float, returned: int, told: str) -> None:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.vehicle.platform import Finding
 from targets.car.base.settings import CarSettings
 from targets.car.drive.rover_parameters import rules
-from targets.sim.autopilots.mavlink_params import Parameters
+from targets.sim.autopilots.mavlink_params import SimulatedParameters
 from targets.sim.autopilots.rover import PARAMETERS
 from tests.car.drive.test_rover import URL, World
 
@@ -26,7 +26,7 @@ def examined(parameters: Mapping[str, float | None], version: str = "4.7", **set
     """The findings about a rover whose parameters are these instead of a prepared one's; None: it has none."""
     world = World(**settings)
     assert world.rover is not None
-    world.rover.parameters = Parameters(version, PARAMETERS)
+    world.rover.parameters = SimulatedParameters(version, PARAMETERS)
     for name, value in parameters.items():
         assert name in world.rover.parameters, name
         if value is None:

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.runtime.values.obstacles import Block, Cylinder
 from koordgen.runtime.values.points import Point
-from targets.sim.base.upset import Upset
+from targets.sim.base.fault_state import FaultState
 from tests.car.planning.test_avoidance import among
 from tests.car.platform.world import TestBody, World
 
@@ -93,6 +93,6 @@ def test_a_motor_controller_that_reports_a_fault() -> None:
     world = World().begin()
     world.go(3.0, 0.0)
     assert world.controller is not None
-    world.controller._upset = Upset(battery=0.0)
+    world.controller._fault_state = FaultState(battery=0.0)
     world.run(3.0)
     assert world.car.stall == "braking: the motor controller reports fault 2 (under-voltage)"

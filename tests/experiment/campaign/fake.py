@@ -1,4 +1,4 @@
-"""A bundle in place of a simulator: does at once what its options say, and leaves what a run leaves."""
+"""Fake bundle that replaces a simulator: it does at once what its options say, and writes a run's files."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ def build(params: Mapping[str, str], folder: Path) -> None:
 @contextmanager
 def full_disk(finished: int) -> Iterator[None]:
     """A disk that is full once so many runs are finished."""
-    real = store.Store.add
+    real = store.CampaignStore.add
 
-    def add(self: store.Store, result: store.Result) -> None:
+    def add(self: store.CampaignStore, result: store.RunResult) -> None:
         if len(self.results) == finished:
             raise OSError(errno.ENOSPC, "No space left on device")
         real(self, result)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store.Store, "add", add)
+        patch.setattr(store.CampaignStore, "add", add)
         yield

@@ -1,4 +1,4 @@
-"""A campaign of fake bundles: its folder, its table and its status; what ends it in the middle; going on with it."""
+"""Campaign of fake bundles: folder, table and status; interruptions; resuming."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ def test_a_full_disk_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_run_that_the_disk_failed_ends_the_campaign(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store.Store, "full", lambda self: True)
+    monkeypatch.setattr(store.CampaignStore, "full", lambda self: True)
     assert campaign("--vary", "mode=crash,held") == 5
     assert "the disk is full" in capsys.readouterr().err
     assert all(r["outcome"] != "failed" for r in (results() if Path("out/results.jsonl").exists() else []))

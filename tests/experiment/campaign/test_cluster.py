@@ -1,4 +1,4 @@
-"""The same runs by a Dask cluster: two workers, processes of this host."""
+"""A campaign on a Dask cluster of two local workers gives the same results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli.base import console
-from koordgen.experiment.campaign.crew import packed, unpacked
+from koordgen.experiment.campaign.executor import packed, unpacked
 from tests.experiment.campaign.test_campaign import campaign, faked, results
 
 __all__ = ["faked"]
@@ -58,7 +58,7 @@ def test_a_worker_tells_what_did_not_run_and_it_is_repeated_here(cluster: Any) -
 
 
 def test_no_cluster_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("koordgen.experiment.campaign.crew.REACHED_WITHIN", 0.5)
+    monkeypatch.setattr("koordgen.experiment.campaign.executor.REACHED_WITHIN", 0.5)
     assert campaign("--vary", "seed=1:2", "--cluster", "tcp://127.0.0.1:9") == 5
     err = capsys.readouterr().err
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in err and "dask scheduler" in err

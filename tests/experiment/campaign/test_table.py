@@ -1,4 +1,4 @@
-"""The figures of a campaign, the interval of its failure rate, and what people and spreadsheets are told."""
+"""Table of a campaign: statistics, the interval of its failure rate, text and CSV."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from koordgen.experiment.campaign import plots, table
-from koordgen.experiment.campaign.store import Result
+from koordgen.experiment.campaign.store import RunResult
 
 RESULTS = [
-    Result(0, {"seed": "1", "loss": "0.1"}, "held", "", "", 10.0, 0.9, 0, figures={"tasks": 20.0}),
-    Result(1, {"seed": "2", "loss": "0.2"}, "held", "", "", 14.0, 0.7, 4, figures={"tasks": 20.0}),
-    Result(2, {"seed": "3", "loss": "0.1"}, "violated", "at 1 s, a and b: close", "separation", 3.0, 0.1, 2),
-    Result(3, {"seed": "4", "loss": "0.2"}, "failed", 'status 5: error: "x", full'),
+    RunResult(0, {"seed": "1", "loss": "0.1"}, "held", "", "", 10.0, 0.9, 0, figures={"tasks": 20.0}),
+    RunResult(1, {"seed": "2", "loss": "0.2"}, "held", "", "", 14.0, 0.7, 4, figures={"tasks": 20.0}),
+    RunResult(2, {"seed": "3", "loss": "0.1"}, "violated", "at 1 s, a and b: close", "separation", 3.0, 0.1, 2),
+    RunResult(3, {"seed": "4", "loss": "0.2"}, "failed", 'status 5: error: "x", full'),
 ]  # fmt: skip
 
 
@@ -67,7 +67,7 @@ def test_the_rows() -> None:
 
 
 def test_pictures(tmp_path: Path) -> None:
-    words = [Result(9, {"seed": "9", "loss": "none"}, "held", mission=None), *RESULTS]
+    words = [RunResult(9, {"seed": "9", "loss": "none"}, "held", mission=None), *RESULTS]
     drawn = plots.draw(words, tmp_path / "plots")
     assert sorted(path.name for path in drawn) == ["loss.png", "mission.png", "seed.png"]
     assert all(path.stat().st_size > 5000 for path in drawn)

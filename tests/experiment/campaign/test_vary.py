@@ -1,22 +1,22 @@
-"""What is varied is read as it is meant, covers what it should, and cells are compared in pairs."""
+"""`--vary`: parsing, even coverage of ranges, and cells that are compared in pairs."""
 
 from __future__ import annotations
 
 import pytest
 
 from koordgen.experiment.campaign import plan, vary
-from koordgen.experiment.campaign.vary import BadVary, Grid, Range, Seeds
+from koordgen.experiment.campaign.vary import BadVary, NumberRange, Seeds, ValueList
 
 
 def test_what_is_varied_is_read() -> None:
-    assert vary.parse(["seed,loss=0:0.3"]) == (Seeds(1), Range("loss", 0.0, 0.3))
+    assert vary.parse(["seed,loss=0:0.3"]) == (Seeds(1), NumberRange("loss", 0.0, 0.3))
     assert vary.parse(["seed=5:70,delay=0,0.02,0.1,jitter=0:1"]) == (
-        Seeds(5, 70), Grid("delay", ("0", "0.02", "0.1")), Range("jitter", 0.0, 1.0),
+        Seeds(5, 70), ValueList("delay", ("0", "0.02", "0.1")), NumberRange("jitter", 0.0, 1.0),
     )  # fmt: skip
     assert vary.parse(["loss=0,0.1,seed", "param.eps=0.5"]) == (
-        Grid("loss", ("0", "0.1")), Seeds(1), Grid("param.eps", ("0.5",)),
+        ValueList("loss", ("0", "0.1")), Seeds(1), ValueList("param.eps", ("0.5",)),
     )  # fmt: skip
-    assert vary.parse(["seed=3,9"]) == (Grid("seed", ("3", "9")),)
+    assert vary.parse(["seed=3,9"]) == (ValueList("seed", ("3", "9")),)
     assert vary.parse([]) == ()
 
 

@@ -1,11 +1,11 @@
-"""A bundle in place of a simulator that leaves windows: what its seed says comes of the run."""
+"""Fake bundle that replaces a simulator and writes windows: the seed determines the outcome of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from tests.experiment.validate.made import text, window
+from tests.experiment.validate.windows import text, window
 
 NAME = "sim"
 SOURCE = """

@@ -1,10 +1,10 @@
-"""In which way a body left its box, told by the geometry of one window."""
+"""Kinds of breaches, from the geometry of one window."""
 
 from __future__ import annotations
 
 import pytest
 
-from koordgen.experiment.validate.breach import Breach, Row, kind
+from koordgen.experiment.validate.breach import BoxBreach, ConsecutiveBreaches, kind
 
 FAR, NEAR, HERE = (5.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0)
 
@@ -29,8 +29,8 @@ def test_kinds(target: object, before: object, out: object, then: object, found:
 
 
 def test_windows_in_a_row_add_up() -> None:
-    row = Row()
-    assert row.add(0, 0.0, (0.03, 0.0, 0.0), "across") == Breach(0, 0.0, (0.03, 0.0, 0.0), "across", 0.03, "across")
+    row = ConsecutiveBreaches()
+    assert row.add(0, 0.0, (0.03, 0.0, 0.0), "across") == BoxBreach(0, 0.0, (0.03, 0.0, 0.0), "across", 0.03, "across")
     second = row.add(0, 0.1, (0.01, 0.03, 0.0), "overshoot")
     assert second.together == pytest.approx(0.05) and second.main == "overshoot"
     assert row.add(0, 0.2, (0.0, 0.001, 0.0), "drift").main == "overshoot", "that in which it went farthest"

@@ -1,4 +1,4 @@
-"""The same samples by a Dask cluster: two workers, processes of this host."""
+"""A validation on a Dask cluster of two local workers gives the same samples."""
 
 from __future__ import annotations
 
@@ -26,6 +26,6 @@ def test_the_workers_samples_are_judged_here(capsys: pytest.CaptureFixture[str])
 
 
 def test_no_cluster_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("koordgen.experiment.campaign.crew.REACHED_WITHIN", 0.5)
+    monkeypatch.setattr("koordgen.experiment.campaign.executor.REACHED_WITHIN", 0.5)
     assert validate("--samples", "1", "--cluster", "tcp://127.0.0.1:9") == 5
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`koordgen validate` over fake bundles: statuses, what is told, going on, what is wrong with a call."""
+"""`koordgen validate` over fake bundles: statuses, output, continuation, bad options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from koordgen import cli
 from koordgen.cli.base import building, console
 from koordgen.cli.experiment import campaign as campaigns
 from koordgen.experiment.campaign import store
-from koordgen.experiment.campaign.plan import Plan
+from koordgen.experiment.campaign.plan import CampaignPlan
 from koordgen.experiment.validate import picture
 from tests.experiment.campaign.fake import full_disk
 from tests.experiment.validate import fake
@@ -87,8 +87,11 @@ def test_more_samples_go_on_with_those_that_are_there(capsys: pytest.CaptureFixt
     assert len(runs()) == 5 and Path("out/runs/0001/began").stat().st_mtime_ns == first
     assert validate("--samples", "2", "--seed", "9") == 5
     assert "out: holds another validation: other things are varied: seed=1:, not seed=9:" in capsys.readouterr().err
-    plan = Plan("app", "", "", (), (), 3)
-    with pytest.raises(store.Unusable, match="out: holds a validation, not a campaign"), store.claimed(OUT, plan, True):
+    plan = CampaignPlan("app", "", "", (), (), 3)
+    with (
+        pytest.raises(store.FolderUnusable, match="out: holds a validation, not a campaign"),
+        store.claimed(OUT, plan, True),
+    ):
         pass
 
 

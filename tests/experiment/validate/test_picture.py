@@ -1,11 +1,11 @@
-"""The picture: a row for each platform, every window that was outside; none where nothing moved."""
+"""Picture: a row for each platform, with every window outside of the box; none if nothing moved."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from koordgen.experiment.validate.picture import draw
-from tests.experiment.validate.made import sample, window
+from tests.experiment.validate.windows import sample, window
 
 
 def test_a_row_for_each_platform(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Probes, what reachsets are as JSON, how large they are, pictures; and one whole reachset of simple robots."""
+"""Probes; reachsets as JSON, sizes and pictures; and one whole reachset of simple robots."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from koordgen.build.pipeline import check_file
-from koordgen.experiment.campaign.crew import Local
+from koordgen.experiment.campaign.executor import LocalPool
 from koordgen.experiment.validate import draw, probe, reach, tube
 from koordgen.experiment.validate.probe import BadProbe, Probe, Samples, Start
 from koordgen.fleet import manifest
@@ -36,23 +36,23 @@ sim: {position_noise: 0.01, min_separation: 0.5, boot: 0.5}
 
 
 @pytest.fixture
-def platforms(tmp_path: Path) -> dict[str, probe.Platform]:
+def platforms(tmp_path: Path) -> dict[str, probe.ProbedPlatform]:
     file = tmp_path / "fleet.yaml"
     file.write_text(FLEET)
     return probe.platforms(str(file))
 
 
-def test_platforms_are_what_differs(platforms: dict[str, probe.Platform]) -> None:
+def test_platforms_are_what_differs(platforms: dict[str, probe.ProbedPlatform]) -> None:
     assert list(platforms) == ["quad full", "quad simple", "car full (dan)", "car full (eve)"]
     assert platforms["quad full"].robot["settings"] == {"max_speed": 1.5}
     assert platforms["quad simple"].fidelity == "simple" and platforms["quad simple"].delta == 0.1
 
 
-def test_a_probes_fleet_is_the_users_but_for_what_is_drawn(platforms: dict[str, probe.Platform]) -> None:
+def test_a_probes_fleet_is_the_users_but_for_what_is_drawn(platforms: dict[str, probe.ProbedPlatform]) -> None:
     asked = Probe(platforms["quad full"], (1.0, 2.0, 0.0), count=20, seconds=5.0, robots=16, seed=3)
-    fleet = probe.drawn(asked, 0)
-    assert fleet == probe.drawn(asked, 0) != probe.drawn(asked, 1) != probe.drawn(replace(asked, seed=4), 1)
-    assert len(fleet["robots"]) == 16 and len(probe.drawn(asked, 1)["robots"]) == 4 and asked.parts == 2
+    fleet = probe.fleet_of(asked, 0)
+    assert fleet == probe.fleet_of(asked, 0) != probe.fleet_of(asked, 1) != probe.fleet_of(replace(asked, seed=4), 1)
+    assert len(fleet["robots"]) == 16 and len(probe.fleet_of(asked, 1)["robots"]) == 4 and asked.parts == 2
     assert fleet["delta"] == 0.1 and fleet["safety"] == {"position_lost": 3.0} and "obstacles" not in fleet
     assert fleet["world"] == {"floor_friction": 0.8}
     assert fleet["sim"]["position_noise"] == 0.01 and fleet["sim"]["min_separation"] == 0
@@ -73,9 +73,9 @@ def test_the_program_is_a_good_one(tmp_path: Path, target: str) -> None:
 
 @pytest.mark.parametrize(
     ("changed", "said"),
-    [({"offset": (0.0, 0.0, 2.0)}, "leads nowhere"), ({"robots": 0}, "1 to 100"), ({"robots": 101}, "1 to 100")],
+    [({"offset": (0.0, 0.0, 2.0)}, "is zero in x and y"), ({"robots": 0}, "1 to 100"), ({"robots": 101}, "1 to 100")],
 )
-def test_what_cannot_be_probed_is_told(platforms: dict[str, probe.Platform], changed: dict, said: str) -> None:  # type: ignore[type-arg]
+def test_what_cannot_be_probed_is_told(platforms: dict[str, probe.ProbedPlatform], changed: dict, said: str) -> None:  # type: ignore[type-arg]
     asked = Probe(platforms["quad full"], (1.0, 0.0, 0.0), count=20, seconds=5.0)
     with pytest.raises(BadProbe, match=said):
         probe.check(replace(asked, **changed))
@@ -84,7 +84,7 @@ def test_what_cannot_be_probed_is_told(platforms: dict[str, probe.Platform], cha
 def test_probes_are_of_all_platforms_or_of_those_that_are_named(tmp_path: Path) -> None:
     file = tmp_path / "fleet.yaml"
     file.write_text(FLEET)
-    asked = reach.Asked((3.0, 4.0, 0.0), epsilon=0.1, gamma=0.05, seed=7)
+    asked = reach.ReachsetRequest((3.0, 4.0, 0.0), epsilon=0.1, gamma=0.05, seed=7)
     assert [p.platform.name for p in reach.probes(str(file), [], asked)] == list(probe.platforms(str(file)))
     (one,) = reach.probes(str(file), ["quad simple"], asked)
     assert (one.count, one.seconds, one.seed, one.parts) == (90, 14.0, 7, 6)
@@ -93,13 +93,13 @@ def test_probes_are_of_all_platforms_or_of_those_that_are_named(tmp_path: Path) 
     assert "quad simple" in raised.value.help
 
 
-def test_an_external_autopilot_is_told(platforms: dict[str, probe.Platform]) -> None:
+def test_an_external_autopilot_is_told(platforms: dict[str, probe.ProbedPlatform]) -> None:
     own = replace(platforms["quad full"], robot={"sim": {"autopilot": "external"}, "target": "quad"})
     with pytest.raises(BadProbe, match="real time only"):
         probe.check(Probe(own, (1.0, 0.0, 0.0), count=20, seconds=5.0))
 
 
-def samples(platform: probe.Platform, overshoot: float, offset: probe.Vector = (1.0, 0.0, 0.0)) -> Samples:
+def samples(platform: probe.ProbedPlatform, overshoot: float, offset: probe.Vector = (1.0, 0.0, 0.0)) -> Samples:
     """Of robots that go straight to their target and so far beyond it."""
     asked = Probe(platform, offset, 90, 5.0)
     random = np.random.default_rng(5)
@@ -113,13 +113,13 @@ def samples(platform: probe.Platform, overshoot: float, offset: probe.Vector = (
 
 
 @pytest.fixture
-def reached(platforms: dict[str, probe.Platform]) -> list[tube.Reachset]:
+def reached(platforms: dict[str, probe.ProbedPlatform]) -> list[tube.Reachset]:
     flying, driving = platforms["quad full"], platforms["car full (dan)"]
-    return [tube.reached(samples(flying, 0.3), 0.1, 0.05), tube.reached(samples(driving, 0.0), 0.1, 0.05)]
+    return [tube.reachset_of(samples(flying, 0.3), 0.1, 0.05), tube.reachset_of(samples(driving, 0.0), 0.1, 0.05)]
 
 
 def test_the_one_that_overshoots_has_the_larger_reachset(reached: list[tube.Reachset]) -> None:
-    found = tube.compared(*reached)
+    found = tube.compare(*reached)
     flying, driving = found.figures
     assert reached[0].observed.overshoot == pytest.approx(0.3 - math.exp(-4), abs=0.05)
     assert flying.overshoot >= reached[0].observed.overshoot > 0.2 > driving.overshoot
@@ -130,7 +130,7 @@ def test_the_one_that_overshoots_has_the_larger_reachset(reached: list[tube.Reac
 
 def test_other_offsets_are_not_compared(reached: list[tube.Reachset]) -> None:
     with pytest.raises(ValueError, match="not the same offset"):
-        tube.compared(reached[0], replace(reached[1], offset=(2.0, 0.0, 0.0)))
+        tube.compare(reached[0], replace(reached[1], offset=(2.0, 0.0, 0.0)))
 
 
 def test_a_reachset_goes_through_json(reached: list[tube.Reachset]) -> None:
@@ -159,17 +159,17 @@ def test_the_measure_of_a_union() -> None:
 
 
 def test_files_and_a_picture_are_written(reached: list[tube.Reachset], tmp_path: Path) -> None:
-    files = reach.written(reached, tmp_path)
+    files = reach.write_files(reached, tmp_path)
     assert [file.name for file in files] == ["quad-full.json", "car-full-dan.json", "reachsets.txt", "reachsets.png"]
     assert tube.from_json(json.loads(files[1].read_text())).platform == "car full (dan)"
     assert files[3].read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no reachset"):
-        draw.drawn([], tmp_path / "none.png")
+        draw.draw_reachsets([], tmp_path / "none.png")
 
 
-def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path: Path) -> None:
+def test_simple_robots_are_probed(platforms: dict[str, probe.ProbedPlatform], tmp_path: Path) -> None:
     asked = Probe(platforms["quad simple"], (0.5, 0.5, 0.0), 3, 3.0, Start(after=(1.0, 1.5)), robots=3)
-    (found,) = probe.sampled([asked], Local(1), tmp_path / "out")
+    (found,) = probe.take_samples([asked], LocalPool(1), tmp_path / "out")
     assert found.positions.shape == (3, 721, 3) and found.times[-1] == 3.0
     # As the robot sensed it, with a centimetre of noise and what it moves in a twentieth of a second.
     assert (np.linalg.norm(found.starts[:, :2], axis=1) < 0.1 + 0.1).all()
@@ -187,10 +187,12 @@ def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Pa
     those of the command."""
     root = Path(__file__).parents[3]
     fleet = str(root / "examples" / "lineform" / "fleet.yaml")
-    flying, driving = reach.reachsets(fleet, (), reach.Asked((0.7, 0.4, 0.0), seed=1), Local(2), tmp_path / "out")
-    names = [file.name for file in reach.written([flying, driving], tmp_path / "left")]
+    flying, driving = reach.reachsets(
+        fleet, (), reach.ReachsetRequest((0.7, 0.4, 0.0), seed=1), LocalPool(2), tmp_path / "out"
+    )
+    names = [file.name for file in reach.write_files([flying, driving], tmp_path / "left")]
     assert names == ["quad-full.json", "car-full.json", "reachsets.txt", "reachsets.png"]
-    found = tube.compared(flying, driving)
+    found = tube.compare(flying, driving)
     assert flying.covered >= 0.95 and driving.covered >= 0.95
     assert flying.observed.overshoot > 0.03 > driving.observed.overshoot
     assert flying.overshoot > driving.overshoot + 0.03
@@ -199,12 +201,12 @@ def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Pa
     assert found.text() in page, f"docs/reference/validate.md is out of date:\n{found.text()}"
 
 
-def test_a_run_that_fails_is_told(platforms: dict[str, probe.Platform], tmp_path: Path) -> None:
+def test_a_run_that_fails_is_told(platforms: dict[str, probe.ProbedPlatform], tmp_path: Path) -> None:
     own = replace(platforms["quad simple"], common={**platforms["quad simple"].common, "sim": {"start_timeout": 1.0}})
     with pytest.raises(BadProbe, match="did not run"):
-        probe.sampled([Probe(own, (1.0, 0.0, 0.0), 1, 1.0, robots=1)], Local(1), tmp_path / "out")
+        probe.take_samples([Probe(own, (1.0, 0.0, 0.0), 1, 1.0, robots=1)], LocalPool(1), tmp_path / "out")
 
 
-def test_a_probes_fleet_is_yaml(platforms: dict[str, probe.Platform]) -> None:
-    fleet = probe.drawn(Probe(platforms["car full (eve)"], (1.0, 0.0, 0.0), 2, 1.0), 0)
+def test_a_probes_fleet_is_yaml(platforms: dict[str, probe.ProbedPlatform]) -> None:
+    fleet = probe.fleet_of(Probe(platforms["car full (eve)"], (1.0, 0.0, 0.0), 2, 1.0), 0)
     assert yaml.safe_load(yaml.safe_dump(fleet)) == fleet

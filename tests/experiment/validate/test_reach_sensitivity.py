@@ -1,4 +1,4 @@
-"""What is learned of systems whose sensitivity is known: coverage on fresh samples, tightness, the bound."""
+"""Learning from systems with known sensitivity: coverage on fresh samples, tightness, the bound."""
 
 from __future__ import annotations
 

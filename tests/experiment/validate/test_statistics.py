@@ -1,4 +1,4 @@
-"""Bounds and intervals against values that others have worked out."""
+"""Bounds and intervals compared with published values."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown
+from koordgen.experiment.validate.statistics import clopper_pearson, needed, shown_epsilon
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ from koordgen.experiment.validate.statistics import clopper_pearson, needed, sho
 def test_so_many_runs_are_needed(epsilon: float, gamma: float, runs: int) -> None:
     assert needed(epsilon, gamma) == runs
     assert (1 - epsilon) ** runs <= gamma, "without a violation that is how likely they are at most"
-    assert shown(runs, gamma) <= epsilon
+    assert shown_epsilon(runs, gamma) <= epsilon
 
 
 @pytest.mark.parametrize(("epsilon", "gamma"), [(0.0, 0.1), (1.0, 0.1), (0.1, 0.0), (0.1, 1.5)])
@@ -27,8 +27,8 @@ def test_what_is_no_part_is_refused(epsilon: float, gamma: float) -> None:
 
 
 def test_what_so_many_runs_show() -> None:
-    assert shown(59, 0.05) == pytest.approx(1 - 0.05 ** (1 / 59), abs=1e-12)
-    assert shown(0, 0.05) == 1.0
+    assert shown_epsilon(59, 0.05) == pytest.approx(1 - 0.05 ** (1 / 59), abs=1e-12)
+    assert shown_epsilon(0, 0.05) == 1.0
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What could be assumed instead, with margins of made samples, and what the prover makes of it."""
+"""Suggested assumptions: margins of hand-made samples, and the prover's verdicts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from koordgen.build.pipeline import Checked, check_file
 from koordgen.cli.experiment.validate import LIMITS
 from koordgen.experiment.validate.suggest import about_way, suggestions
 from koordgen.verify.prove.smt.solve import Solver, solver_of
-from tests.experiment.validate.made import sample, window
+from tests.experiment.validate.windows import sample, window
 
 MARGIN = Path(__file__).parents[3] / "examples/lineform/margin.koord"
 GEOFENCE = MARGIN.with_name("geofence.koord")

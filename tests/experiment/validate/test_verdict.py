@@ -1,4 +1,4 @@
-"""From windows to verdicts: who is VALIDATED, who VIOLATED, and of what nothing can be said."""
+"""Verdicts from windows: VALIDATED, VIOLATED, and INCONCLUSIVE."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from koordgen.experiment.validate.samples import FILE, margin, read
-from koordgen.experiment.validate.verdict import Bound, Verdict, verdicts
-from tests.experiment.validate.made import held, sample, text, window
+from koordgen.experiment.validate.verdict import AssumptionVerdict, ProbabilityBound, verdicts
+from tests.experiment.validate.windows import held, sample, text, window
 
-BOUND = Bound(0.05, 0.05)
+BOUND = ProbabilityBound(0.05, 0.05)
 
 
-def of(found: list[Verdict], platform: str) -> Verdict:
+def of(found: list[AssumptionVerdict], platform: str) -> AssumptionVerdict:
     return next(v for v in found if v.platform == platform)
 
 
@@ -66,9 +66,9 @@ def test_of_many_violations_the_farthest_is_told_or_the_first(tmp_path: Path) ->
     ],
 )  # fmt: skip
 def test_of_what_nothing_can_be_said(came: str, ended: str, why: str, tmp_path: Path) -> None:
-    found = verdicts([sample(tmp_path, [window(1, 0, came)], ended=ended)], 0, Bound(0.9, 0.9))[0]
+    found = verdicts([sample(tmp_path, [window(1, 0, came)], ended=ended)], 0, ProbabilityBound(0.9, 0.9))[0]
     assert found.verdict == "INCONCLUSIVE" and why in found.why
-    assert verdicts([sample(tmp_path, [window(1, 0, "h")])], 0, Bound(0.9, 0.9))[0].verdict == "VALIDATED"
+    assert verdicts([sample(tmp_path, [window(1, 0, "h")])], 0, ProbabilityBound(0.9, 0.9))[0].verdict == "VALIDATED"
 
 
 def test_a_violation_counts_whatever_became_of_the_run(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.step import execute, initial
 from koordgen.runtime.values import geometry
 from koordgen.runtime.values.points import Point
-from koordgen.verify.prove.report.model import made_state
+from koordgen.verify.prove.report.model import exact_state
 from tests.lang.semantics.programs import compiled
 
 
@@ -34,7 +34,7 @@ Go:
     out = {expression}
 """
     program = exact(compiled(text))
-    outcome = execute(program, program.events[0].effect, made_state(initial(program, 1)), 0)
+    outcome = execute(program, program.events[0].effect, exact_state(initial(program, 1)), 0)
     assert isinstance(outcome, Writes), outcome
     return outcome.locals["out"]
 

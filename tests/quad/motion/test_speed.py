@@ -11,7 +11,7 @@ from benchmarks.fixtures.quad_rig import PointMass, Rig
 from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import World
+from targets.sim.physics.world import SimulatedWorld
 
 MORE = 1.05  # a vehicle may be so much faster than its limit: its own controller's overshoot
 
@@ -21,7 +21,7 @@ class Simulated(PointMass):
 
     def __init__(self, position: Vector) -> None:
         super().__init__(position)
-        self._world = World()
+        self._world = SimulatedWorld()
         self._quadrotor = SimulatedQuadrotor(self._world, position, 0.0)
         self.accelerate, self.motors = self._quadrotor.accelerate, self._quadrotor.motors  # type: ignore[method-assign]
 

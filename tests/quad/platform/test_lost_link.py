@@ -84,5 +84,5 @@ def test_a_link_that_stays_away_is_given_up_when_the_autopilot_has_landed_by_its
     flown.run(60.0)
     assert flown.agent.done and flown.agent.status == SURROUNDINGS and 35.0 < flown.rig.now - cut < 45.0
     assert flown.said("the autopilot has fallen silent on udpin:127.0.0.1:14550 (30 s)")
-    assert flown.said("the body did not come to rest within 10 s")
+    assert flown.said("the vehicle did not stop within 10 s")
     assert at(flown.rig).z == 0.0

@@ -79,7 +79,7 @@ def breaks(args: tuple[Any, ...]) -> Any:
     [
         (breaks, "RuntimeError: no map"),
         (lambda args: 3, "ValidationError: Expected `array`, got `int`"),
-        (lambda args: [Point(float("inf"), 0, 0)], "ValueError: Motion.planner answered with what is no number"),
+        (lambda args: [Point(float("inf"), 0, 0)], "ValueError: Motion.planner returned a value that is not finite"),
         (lambda args: [Point()] * 9, "Motion.path would become a list of 9 elements, beyond its `max 8`"),
     ],
 )

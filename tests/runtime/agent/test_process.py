@@ -22,7 +22,7 @@ from benchmarks.fixtures.fleet import NAMES, FakePlatform, settings
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent import process as agent
 from koordgen.runtime.config.settings import Peer
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.vehicle.platform import Finding
 from tests.runtime.agent.robot_main import body
@@ -242,7 +242,7 @@ def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
         raise CannotOpen("no link")
 
     monkeypatch.setattr(agent, "open_transport", refused)
-    monkeypatch.setattr(courier.COMPILED, "found", "there is no C compiler")
+    monkeypatch.setattr(socket_batch.COMPILED, "found", "there is no C compiler")
     assert run(bundles[1]) == 5
     warning, error = capsys.readouterr().err.splitlines()
     assert warning.startswith("warning: sockets are read by Python") and warning.endswith(": there is no C compiler")
@@ -256,7 +256,7 @@ def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
         ({"control": 65536}, "Expected `int` <= 65535 - at `$.control`"),
         ({"pid": 3}, "pid 3 is not among the 3 peers"),
         ({"wings": 2}, "unknown field `wings`"),
-        ({"key_file": None}, "no key_file; a fleet without a key must say so: `insecure: true`"),
+        ({"key_file": None}, "no key_file; a fleet without a key must declare `insecure: true`"),
         ({"key_file": "other.key"}, "other.key: No such file"),
         ({"peers": [["a", "b"]]}, "Expected `object`, got `array` - at `$.peers[0]`"),
     ],

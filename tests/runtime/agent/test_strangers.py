@@ -100,7 +100,7 @@ def test_a_robot_that_kept_nothing_of_the_mission_is_told_of_and_not_let_in() ->
     fleet.run(2.0)
     assert fleet.robots[1].agent.phase == "joining"
     assert any("alice, cleo in a mission that began before this start" in line for line in fleet.robots[1].lines)
-    told = [line for line in fleet.robots[0].lines if "bert began anew during the mission" in line]
+    told = [line for line in fleet.robots[0].lines if "bert restarted without state during the mission" in line]
     assert len(told) == 1
     assert not fleet.robots[0].platform.held, "the others go on without it"
 

@@ -13,12 +13,12 @@ import pytest
 from benchmarks.fixtures.fleet import settings
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
-from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, Allowance, Monitors
+from koordgen.runtime.monitor.monitor import LONGEST_WAIT, MOST_OVERRUNS, CpuBudget, Monitors
 from koordgen.runtime.program.extern import Contract
 from koordgen.runtime.program.program import Effects, Fault, Frame
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import LEFT, Limit, Overrun, unlimited
-from koordgen.runtime.trace.watched import OWN, SENSED, SHARED, Change, Moment
+from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Change, Observation
 from koordgen.runtime.trace.writer import Record
 from koordgen.runtime.values.points import Point
 from tests.build.emit.generated import checked
@@ -74,7 +74,7 @@ class Robot:
         shared = {"x": values.get("x", (1, 1, 1)), "most": values.get("most", 1)}
         own, time = {"count": values.get("count", 0)}, 0.1 * round_
         self.monitors.look(
-            Moment(round_, time, certain, time - old, sensors, own, shared, {"Motion.target": Point()})
+            Observation(round_, time, certain, time - old, sensors, own, shared, {"Motion.target": Point()})
         )  # fmt: skip
 
     def demands(self) -> str:
@@ -305,7 +305,7 @@ def test_only_so_much_of_the_processors_time_is_taken(monkeypatch: pytest.Monkey
 
 def test_an_allowance_is_a_share_of_what_else_was_done() -> None:
     now = [0.0]
-    allowance = Allowance(lambda: now[0], 0.1)
+    allowance = CpuBudget(lambda: now[0], 0.1)
     found = []
     for others, own in ((0.0, 0.0), (0.004, 0.0), (0.0, 0.0005), (1.0, 0.0009), (1.0, 0.0011)):
         now[0] += others

@@ -21,9 +21,9 @@ from types import FrameType
 
 import pytest
 
-from koordgen.runtime.net import courier, inbox
-from koordgen.runtime.net.courier import CompiledInbox, as_written
+from koordgen.runtime.net import inbox, socket_batch
 from koordgen.runtime.net.inbox import Inbox, PythonInbox
+from koordgen.runtime.net.socket_batch import CompiledInbox, as_written
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS
 from tests.runtime.net.transports import (
@@ -245,12 +245,12 @@ class TestInbox:
         far.bind("")  # the system finds a name
         made: Inbox
         if native:
-            found = courier.COMPILED.library()
+            found = socket_batch.COMPILED.library()
             assert found is not None
             near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", int(PATIENCE), 0))
             made = CompiledInbox(found, [near], lambda number: None)  # one that would block
             written = struct.pack("=H", socket.AF_UNIX) + far.getsockname()
-            found.courier_address(made._at, 0, written, len(written))
+            found.socket_batch_address(made._at, 0, written, len(written))
         else:
             near.setblocking(False)
             made = PythonInbox([near], lambda number: None)
@@ -351,12 +351,12 @@ class TestInC:
 
     @pytest.mark.slow
     def test_sanitizers_find_nothing(self, tmp_path: Path) -> None:
-        """Random datagrams through courier.c under the address and undefined-behaviour sanitizers."""
-        program, driver = tmp_path / "driver", Path(__file__).with_name("courier_driver.c")
-        own = [flag for flag in courier.FLAGS if flag not in ("-shared", "-fPIC", "-O2")]
+        """Random datagrams through socket_batch.c under the address and undefined-behaviour sanitizers."""
+        program, driver = tmp_path / "driver", Path(__file__).with_name("socket_batch_driver.c")
+        own = [flag for flag in socket_batch.FLAGS if flag not in ("-shared", "-fPIC", "-O2")]
         strict = ["-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
         sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-        files = ["-I", str(courier.SOURCE.parent), "-o", str(program), str(driver)]
+        files = ["-I", str(socket_batch.SOURCE.parent), "-o", str(program), str(driver)]
         subprocess.run([str(COMPILER), *own, *strict, *sanitizers, *files], check=True)
         for seed in ("1", "2"):
             subprocess.run([program, "100000", seed], check=True, timeout=300)
@@ -396,7 +396,7 @@ def gathering(count: int, pause: float) -> Iterator[tuple[CompiledInbox, Callabl
     (1999.9, 1_999_900_001), (2000.0, 2_000_000_000), (1e300, 2_000_000_000), (math.inf, 2_000_000_000),
 ])  # fmt: skip
 def test_no_wait_is_shorter_than_asked_or_longer_than_can_be_told(seconds: float, told: int) -> None:
-    assert courier._microseconds(seconds) == told < 2**31
+    assert socket_batch._microseconds(seconds) == told < 2**31
 
 
 def written_by_the_system(opened: socket.socket) -> bytes:

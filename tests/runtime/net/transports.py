@@ -17,7 +17,7 @@ import pytest
 
 from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.native.loader import COMPILERS
-from koordgen.runtime.net import courier, inbox
+from koordgen.runtime.net import inbox, socket_batch
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.ops.opening import open_transport
@@ -46,7 +46,7 @@ def implemented(native: bool) -> Iterator[None]:
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(courier.COMPILED, "found", "not wanted")
+        patch.setattr(socket_batch.COMPILED, "found", "not wanted")
         yield
 
 

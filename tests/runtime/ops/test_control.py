@@ -367,7 +367,7 @@ def at_free_port(**changes: Any) -> Settings:
 def test_a_taken_port_is_named() -> None:
     here = at_free_port()
     first = Control.open(here, KEY)
-    with pytest.raises(CannotOpen, match=rf"127.0.0.1:{here.control}, where robot bert takes orders.*`control`"):
+    with pytest.raises(CannotOpen, match=rf"127.0.0.1:{here.control}, the control port of robot bert.*`control`"):
         Control.open(here, KEY)
     first.close()
     Control.open(here, KEY).close()
@@ -401,6 +401,6 @@ def test_a_report_is_shown_as_a_table() -> None:
     assert "rounds    2, current in 50.0 %, 1 events" in told
     assert "alice         50.0 %" in told and "never" in told
     assert "       4  not authentic" in told and "       1  waits for cleo" in told
-    assert "properties, as far as it can tell: 2 held, 1 violated" in told
+    assert "properties, by the robot's monitors: 2 held, 1 violated" in told
     assert "  violated since round 12: invariant Near (line.koord:7): x[1] = 3" in told
     assert not math.isnan(json.loads(json.dumps(report))["late_ms"]["p50"])

@@ -17,7 +17,7 @@ from benchmarks.fixtures.fleet import FakePlatform
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent import process as agent
 from koordgen.runtime.config.settings import BadSettings, Peer, Settings
-from koordgen.runtime.net import courier
+from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.layout import TooLarge
 from koordgen.runtime.ops import doctor
 from koordgen.runtime.ops.doctor import examine, is_loopback, unknown
@@ -213,7 +213,7 @@ def test_a_large_fast_fleet_should_run_compiled(bundles: list[Path], capsys: pyt
 def test_a_computer_without_a_compiler(
     bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(courier.COMPILED, "found", "there is no C compiler")
+    monkeypatch.setattr(socket_batch.COMPILED, "found", "there is no C compiler")
     done, found = examined(bundles[0], capsys)
     assert done == 0
     assert (found["compiled"]["state"], found["compiled"]["found"]) == ("warn", "there is no C compiler")

@@ -23,7 +23,7 @@ def test_all_come_to_rest_within_a_round_of_one_that_is_told() -> None:
     for pid, robot in fleet.robots.items():
         assert resting(robot) and robot.platform.resting is not None
         if pid != 2:
-            assert len([x for x in robot.lines if "emergency stop, heard from another robot" in x]) == 1
+            assert len([x for x in robot.lines if "emergency stop, received from another robot" in x]) == 1
     fleet.run(5.0)
     assert all(r.done() and r.agent.status == 0 for r in fleet.robots.values())
 

@@ -45,7 +45,7 @@ def test_a_row_word_by_word() -> None:
 def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert tell("app", iter([OK, WARN, FAIL]), "text") == 5
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("ok    link") and lines[-1] == "3 looked at: 1 failed, 1 to be warned of"
+    assert lines[0].startswith("ok    link") and lines[-1] == "3 checks: 1 failed, 1 warnings"
 
 
 def test_the_document(capsys: pytest.CaptureFixture[str]) -> None:

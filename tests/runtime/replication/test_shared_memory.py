@@ -213,7 +213,7 @@ def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:
     fleet.network.cut = lambda sender, receiver: sender == 0
     fleet.run(20 * fleet.delta)
     alice = fleet.robots[0]
-    assert alice.records[-1].skipped == "not current: does not count in the fleet, asks to be let in"
+    assert alice.records[-1].skipped == "not current: removed from the fleet, asks to rejoin"
     assert [r.round for r in alice.records] == list(range(1, alice.records[-1].round + 1))
     assert alice.records[-1].round >= alice.agent.round - 1
 

@@ -134,7 +134,7 @@ def test_a_driver_that_takes_no_command_brings_the_robot_to_rest() -> None:
     fleet, body = fleet_with(Broken())
     fleet.run(5, until=lambda: fleet.robots[0].agent.done)
     assert body.resting is not None
-    assert any("the driver of HVAC did not take a command: OSError: no relay" in line for line in fleet.robots[0].lines)
+    assert any("the driver of HVAC refused a command: OSError: no relay" in line for line in fleet.robots[0].lines)
 
 
 def test_the_rest_of_a_platform() -> None:
@@ -170,7 +170,7 @@ def test_a_driver_that_cannot_be_made() -> None:
         raise OSError("no bus")
 
     body = FakePlatform(Point(0, 0, 0))
-    with pytest.raises(Unready, match="the driver of HVAC cannot be made: OSError: no bus"):
+    with pytest.raises(Unready, match="the driver of HVAC cannot be created: OSError: no bus"):
         with_drivers(body, HEATING, {"HVAC": make})
     assert body.closed
     assert with_drivers(body, HEATING, {}) is body

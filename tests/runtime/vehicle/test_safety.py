@@ -136,7 +136,7 @@ def test_a_body_that_serves_again_is_waited_for_however_long_it_takes_to_rest() 
     assert robot.agent.phase == "resting" and not robot.done()
     fleet.run(3.0)
     assert robot.done() and robot.agent.status == 5 and robot.agent.phase == "rested"
-    assert "did not come to rest" not in "".join(robot.lines)
+    assert "did not stop in time" not in "".join(robot.lines)
 
 
 def test_a_rested_robot_whose_body_is_switched_off_still_serves_until_it_is_told_to_end() -> None:
@@ -153,7 +153,7 @@ def test_a_rested_robot_whose_body_is_switched_off_still_serves_until_it_is_told
     assert not bert.done() and fleet.robots[0].records[-1].skipped == "no event enabled"
     bert.agent.end("SIGTERM")
     fleet.run(0.1)
-    assert bert.done() and bert.agent.status == 5 and "did not come to rest" not in "".join(bert.lines)
+    assert bert.done() and bert.agent.status == 5 and "did not stop in time" not in "".join(bert.lines)
 
 
 def test_a_body_that_cannot_start_is_done_at_once() -> None:

@@ -225,7 +225,7 @@ def test_diagnosis_waits_for_a_scan_and_closes_the_port(ports: Callable[[str], S
 
 @pytest.mark.parametrize("setting", ["lidar", "udp:", "udp:1234", "tcp:127.0.0.1:1", "udp:127.0.0.1:x", "udp::"])
 def test_a_setting_that_is_none_is_unready(ports: Callable[[str], ScanPort], setting: str) -> None:
-    with pytest.raises(Unready, match="not understood") as error:
+    with pytest.raises(Unready, match="is not a UDP address") as error:
         ports(setting).open()
     assert "udp:HOST:PORT" in error.value.hint
 

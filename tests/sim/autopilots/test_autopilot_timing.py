@@ -99,7 +99,7 @@ def test_land_by_command_descends_at_once() -> None:
 def test_its_own_gps_is_given_up_after_7_9_s() -> None:
     bench = Bench()
     bench.fly()
-    bench.rig.upset.positioning = type(bench.rig.upset.positioning)(dropout=1.0)
+    bench.rig.fault_state.positioning = type(bench.rig.fault_state.positioning)(dropout=1.0)
     lost = bench.rig.now
     while bench.copter.mode != 9 and bench.rig.now < lost + 10.0:
         bench.wait(0.05)

@@ -15,13 +15,13 @@ import pytest
 
 from targets.sim.autopilots import json_link
 from targets.sim.autopilots.external import ExternalAutopilot, Socket
-from targets.sim.autopilots.json_link import Servos, Vehicle
+from targets.sim.autopilots.json_link import Servos, VehicleState
 from targets.sim.base.bodies import DeviceContext
+from targets.sim.base.fault_state import FaultState
 from targets.sim.base.scenario import BadScenario, Robot, Sim, Start
 from targets.sim.base.schedule import read
-from targets.sim.base.upset import Upset
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import STEP, Motion, World
+from targets.sim.physics.world import STEP, BodyMotion, SimulatedWorld
 from targets.sim.run.faults import check_robots
 from tests.sim.autopilots import ardupilot
 from tests.sim.autopilots.ardupilot import StandIn
@@ -32,7 +32,7 @@ GOLDEN_16 = bytes.fromhex(
     "e803" "dc05" "d007" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0000" "0100"
 )  # fmt: skip
 GOLDEN_32 = bytes.fromhex("8173900100000000") + bytes.fromhex("e803" * 31 + "ffff")
-REST = Motion((1.0, 2.0, 0.06), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+REST = BodyMotion((1.0, 2.0, 0.06), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def test_frames_of_both_kinds() -> None:
@@ -62,7 +62,7 @@ def test_a_state_byte_for_byte() -> None:
 
 
 def test_the_state_is_what_ardupilots_parser_reads() -> None:
-    vehicle = Vehicle(
+    vehicle = VehicleState(
         1e-5, (0.1, -0.2, 1e-7), (0.0, 9.0, -9.81), (1e5, -2e-7, 3.0), (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     )
     found = ardupilot.sensors(json_link.line(vehicle, 12.6, 0.0))
@@ -91,7 +91,7 @@ def spun(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, fl
     ],
 )
 def test_attitudes(enu: tuple[float, float, float], ned: tuple[float, float, float]) -> None:
-    motion = Motion((0.0, 0.0, 0.0), spun(*enu), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    motion = BodyMotion((0.0, 0.0, 0.0), spun(*enu), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     vehicle = json_link.vehicle(motion, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 9.81, STEP, 0.0)
     assert json_link.angles(vehicle.attitude) == pytest.approx(ned)
     size = math.sqrt(sum(v * v for v in vehicle.force))
@@ -100,7 +100,7 @@ def test_attitudes(enu: tuple[float, float, float], ned: tuple[float, float, flo
 
 def test_turning_and_accelerating_in_the_bodys_frame() -> None:
     """Heading north: to the east is to the right; a turn to the left is negative."""
-    motion = Motion((0.0, 0.0, 0.0), spun(0, 0, math.pi / 2), (0.5, 0.0, 0.25), (0.0, 0.1, 0.7))
+    motion = BodyMotion((0.0, 0.0, 0.0), spun(0, 0, math.pi / 2), (0.5, 0.0, 0.25), (0.0, 0.1, 0.7))
     vehicle = json_link.vehicle(motion, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 9.81, 0.1, 0.0)
     assert vehicle.force == pytest.approx((0.0, 5.0, -2.5 - 9.81))
     assert vehicle.gyro == pytest.approx((0.1, 0.0, -0.7))
@@ -109,9 +109,9 @@ def test_turning_and_accelerating_in_the_bodys_frame() -> None:
 
 def test_states_between_two() -> None:
     a = json_link.vehicle(REST, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 9.81, STEP, 1.0)
-    motion = Motion((0.0, 0.0, 0.0), spun(0, 0, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    motion = BodyMotion((0.0, 0.0, 0.0), spun(0, 0, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     b = json_link.vehicle(motion, (2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 9.81, 1.0, 2.0)
-    c = json_link.between(a, b, 0.5)
+    c = json_link.interpolate(a, b, 0.5)
     assert (c.time, c.position, c.velocity) == (1.5, (0.0, 1.0, 0.0), (0.0, 0.5, 0.0))
     assert json_link.angles(c.attitude)[2] == pytest.approx(math.pi / 2 - 0.1)
     assert math.sqrt(sum(v * v for v in c.attitude)) == pytest.approx(1.0)
@@ -144,10 +144,10 @@ class Bench:
     being waited for; with `stopped` it takes none, as a process that does not run."""
 
     def __init__(self, channels: int = 16) -> None:
-        self.world = World()
+        self.world = SimulatedWorld()
         self.body = SimulatedQuadrotor(self.world, (0.0, 0.0, 0.0), 0.5)
-        self.link, self.upset = Link(), Upset()
-        context = DeviceContext("ann", {}, {}, (47.0, 8.0, 400.0), 1, b"", upset=self.upset)
+        self.link, self.fault_state = Link(), FaultState()
+        context = DeviceContext("ann", {}, {}, (47.0, 8.0, 400.0), 1, b"", fault_state=self.fault_state)
         self.device = ExternalAutopilot(self.body, context, 0, self.link)
         self.stand_in = StandIn(channels)
         self.link.up.append(self.stand_in.output())
@@ -319,7 +319,7 @@ def test_a_pause_in_flight_is_no_fall(bench: Bench) -> None:
 
 
 def test_its_battery_and_its_motors_are_upset(bench: Bench) -> None:
-    bench.upset.battery = 0.5
+    bench.fault_state.battery = 0.5
     bench.run(0.1)
     bench.stopped = True
     bench.run(0.01)
@@ -404,7 +404,10 @@ def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path, busy: int) ->
     assert robots["ext"]["rest"][2] == pytest.approx(0.0, abs=0.05)  # it has landed
     lockstep = [sys.executable, "-m", "koordgen", "sim", *words, "--lockstep"]
     done = subprocess.run(lockstep, capture_output=True, text=True)
-    assert done.returncode == 1 and "ext: its autopilot is external, a process with a clock of its own" in done.stderr
+    assert (
+        done.returncode == 1
+        and "ext: its external autopilot has its own clock and cannot run in lockstep" in done.stderr
+    )
 
 
 def test_a_robot_without_a_battery_cannot_run_out_of_it() -> None:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.fixtures import quad_rig as rig
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import World
+from targets.sim.physics.world import SimulatedWorld
 from tests.sim.autopilots.bench import Bench
 from tests.sim.autopilots.test_autopilot_timing import REAL, lifted
 from tests.sim.autopilots.test_autopilot_tracking import carrot, circle, followed, mean
@@ -19,7 +19,7 @@ class Motors:
     """In place of `rig.PointMass`."""
 
     def __init__(self, position: Vector = (1.0, -2.0, 0.0)) -> None:
-        self.world = World()
+        self.world = SimulatedWorld()
         self._quad = SimulatedQuadrotor(self.world, position, 0.0)
         self.accelerate, self.motors = self._quad.accelerate, self._quad.motors
 

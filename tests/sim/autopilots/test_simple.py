@@ -19,11 +19,11 @@ from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.car.platform.simple import SimpleCar as CarPlatform
 from targets.planning.process import Inside
 from targets.quad.platform.simple import SimpleQuad
-from targets.sim.autopilots.simple import DirectCar, DirectQuad
-from targets.sim.base.bodies import Asked, DeviceContext
-from targets.sim.base.upset import Positioning, Upset
-from targets.sim.physics.first_order import SimpleCar, SimpleQuadrotor
-from targets.sim.physics.world import STEP, World
+from targets.sim.autopilots.simple import SimpleCarDevice, SimpleQuadDevice
+from targets.sim.base.bodies import BodyCommand, DeviceContext
+from targets.sim.base.fault_state import FaultState, PositioningFault
+from targets.sim.physics.first_order import SimpleCarBody, SimpleQuadrotor
+from targets.sim.physics.world import STEP, SimulatedWorld
 from tests.sim.lockstep.lockstep import built, digest, ran, summary
 
 ORIGIN = (47.0, 8.0, 400.0)
@@ -45,22 +45,22 @@ class Rig:
     """A platform, its body and their clock."""
 
     def __init__(self, kind: str, start: tuple[float, float, float] = (0.0, 0.0, 0.0), **body: Any) -> None:
-        self.world, self.upset = World(), Upset()
-        context = DeviceContext("alice", body, {"position_noise": 0.002}, ORIGIN, 7, b"", upset=self.upset)
+        self.world, self.fault_state = SimulatedWorld(), FaultState()
+        context = DeviceContext("alice", body, {"position_noise": 0.002}, ORIGIN, 7, b"", fault_state=self.fault_state)
         peers = (Peer("alice", "127.0.0.1", 1),)
         settings = Settings(
             app="map", robot="alice", pid=0, delta=0.1, peers=peers, origin=Origin(*ORIGIN), geofence=FENCE, body=body
         )
-        self.device: DirectQuad | DirectCar
+        self.device: SimpleQuadDevice | SimpleCarDevice
         self.platform: Platform
         if kind == "quad":
             flyer = SimpleQuadrotor(self.world, start, 0.0)
-            self.device = device = DirectQuad(flyer, context)
+            self.device = device = SimpleQuadDevice(flyer, context)
             self.platform = SimpleQuad(settings, None, device, planning=Inside)
-            self.body: SimpleQuadrotor | SimpleCar = flyer
+            self.body: SimpleQuadrotor | SimpleCarBody = flyer
         else:
-            self.body = car = SimpleCar(self.world, start, 0.0, 0.33, 0.4)
-            self.device = driven = DirectCar(car, context)
+            self.body = car = SimpleCarBody(self.world, start, 0.0, 0.33, 0.4)
+            self.device = driven = SimpleCarDevice(car, context)
             self.platform = CarPlatform(settings, None, driven, planning=Inside)
         self.platform.hold(False, 0.0)
         self.platform.start(0.0)
@@ -174,7 +174,7 @@ def test_a_quad_lands_to_rest(quad: Rig) -> None:
 
 def test_a_landing_quad_whose_simulator_has_ended_is_not_waited_for(quad: Rig) -> None:
     up(quad)
-    quad.upset.positioning = Positioning(dropout=1.0)  # not a word any more
+    quad.fault_state.positioning = PositioningFault(dropout=1.0)  # not a word any more
     quad.run(30.0)
     quad.platform.rest(quad.world.time)
     quad.run(8.0)
@@ -196,12 +196,12 @@ def test_a_quad_that_does_not_know_where_it_is_waits(quad: Rig) -> None:
     up(quad)
     quad.platform.command({"Motion.target": Point(3.0, 0.0, 1.5)}, quad.world.time)
     quad.run(1.0)
-    quad.upset.positioning = Positioning(dropout=1.0)
+    quad.fault_state.positioning = PositioningFault(dropout=1.0)
     quad.run(1.5)
     assert math.hypot(*quad.body.state().velocity) < 0.02
     told = quad.platform.sense(quad.world.time).time
     assert told is not None and quad.world.time - told > 1.0
-    quad.upset.positioning = Positioning()
+    quad.fault_state.positioning = PositioningFault()
     quad.run(6.0)
     assert quad.sensed("reached") and quad.body.state().position[0] > 2.8
 
@@ -229,13 +229,13 @@ def test_a_car_whose_agent_falls_silent_brakes(car: Rig) -> None:
 
 
 def test_what_comes_from_another_process_is_obeyed_only_when_it_is_sound(quad: Rig) -> None:
-    obey, encode = quad.device._obey, msgspec.msgpack.encode
+    obey, encode = quad.device._execute, msgspec.msgpack.encode
     for bad in (b"", b"\xff", encode(["close", []]), encode(["fly", [1.0]]), encode(["fly", [math.nan] * 4]),
                 encode(["state", []]), encode(["motors", [1.0, 2.0]])):  # fmt: skip
         obey(bad)
     assert math.hypot(*quad.body.state().velocity) == 0.0
-    obey(encode(Asked("motors", (1.0,))))
-    obey(encode(Asked("fly", (0.0, 0.0, 1.0, 0.0))))
+    obey(encode(BodyCommand("motors", (1.0,))))
+    obey(encode(BodyCommand("fly", (0.0, 0.0, 1.0, 0.0))))
     quad.run(1.0, polled=False)
     assert quad.body.state().position[2] > 0.1
 

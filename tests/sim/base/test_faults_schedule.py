@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import Wind
-from targets.sim.base.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
-from targets.sim.base.upset import Positioning
+from targets.sim.base.fault_state import PositioningFault
+from targets.sim.base.schedule import CONDITIONS, KINDS, Event, LinkConditions, Schedule, read
 
 ROBOTS = ("ann", "bob", "cem")
 
@@ -42,11 +42,11 @@ def test_all_that_there_is() -> None:
         ],
     )
     assert schedule.networked and schedule.network == Conditions(0.1, 0.02, 0.01, 0.05, 0.2)
-    assert schedule.links == (Link("ann", "bob", {"loss": 1.0}),)
+    assert schedule.links == (LinkConditions("ann", "bob", {"loss": 1.0}),)
     assert schedule.links[0].over(schedule.network) == Conditions(1.0, 0.02, 0.01, 0.05, 0.2)
     assert [event.at for event in schedule.events] == [1, 2, 3, 4, 5, 6, 7, 9]
     assert schedule.events[0] == Event("partition", 1.0, 2.0, ROBOTS, (("ann", "bob"), ("cem",)))
-    assert schedule.events[4].positioning == Positioning(0.1, (0.0, 1.0, 0.0), 0.0, 0.5)
+    assert schedule.events[4].positioning == PositioningFault(0.1, (0.0, 1.0, 0.0), 0.0, 0.5)
     assert schedule.events[7].wind == Wind((1.0, 0.0, 0.0), 0.5, 2.0)
 
 

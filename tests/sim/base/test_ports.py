@@ -8,22 +8,22 @@ from collections.abc import Iterator
 import pytest
 
 from targets.sim.base import ports
-from targets.sim.base.ports import BLOCK, Numbers
+from targets.sim.base.ports import BLOCK, PortNumbers
 
 FIRST = 9_984  # where no run that happens to go on takes its numbers
 
 
 @pytest.fixture
-def runs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Numbers, Numbers]]:
+def runs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PortNumbers, PortNumbers]]:
     """Two runs on one host."""
     monkeypatch.setattr(ports, "FIRST", FIRST)
-    made = Numbers(), Numbers()
+    made = PortNumbers(), PortNumbers()
     yield made
     for numbers in made:
         numbers.close()
 
 
-def test_two_runs_never_give_out_one_number(runs: tuple[Numbers, Numbers]) -> None:
+def test_two_runs_never_give_out_one_number(runs: tuple[PortNumbers, PortNumbers]) -> None:
     one, other = runs
     one._blocks, other._blocks = [3, 2, 1], [3, 2, 1]  # the same luck
     first = [one.take() for _ in range(BLOCK + 1)]
@@ -33,7 +33,7 @@ def test_two_runs_never_give_out_one_number(runs: tuple[Numbers, Numbers]) -> No
         other.take()
 
 
-def test_a_number_is_passed_over_when_somebody_has_bound_it(runs: tuple[Numbers, Numbers]) -> None:
+def test_a_number_is_passed_over_when_somebody_has_bound_it(runs: tuple[PortNumbers, PortNumbers]) -> None:
     one, _ = runs
     first = one.take()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as somebody:
@@ -41,7 +41,7 @@ def test_a_number_is_passed_over_when_somebody_has_bound_it(runs: tuple[Numbers,
         assert one.take() == first + 2
 
 
-def test_a_number_that_was_given_back_is_given_last(runs: tuple[Numbers, Numbers]) -> None:
+def test_a_number_that_was_given_back_is_given_last(runs: tuple[PortNumbers, PortNumbers]) -> None:
     one, _ = runs
     one._blocks = [5]
     first = one.take()
@@ -49,7 +49,9 @@ def test_a_number_that_was_given_back_is_given_last(runs: tuple[Numbers, Numbers
     assert [one.take() for _ in range(BLOCK)][-1] == first
 
 
-def test_a_port_gives_its_number_back_once(monkeypatch: pytest.MonkeyPatch, runs: tuple[Numbers, Numbers]) -> None:
+def test_a_port_gives_its_number_back_once(
+    monkeypatch: pytest.MonkeyPatch, runs: tuple[PortNumbers, PortNumbers]
+) -> None:
     one, _ = runs
     one._blocks = [7]
     monkeypatch.setattr(ports, "NUMBERS", one)

@@ -59,11 +59,11 @@ def follow(
 ) -> Followed:  # fmt: skip
     """As `koordgen sim --follow` does it, but in this process; `change` is done to the plan before."""
     from koordgen.cli.base import building, console
-    from koordgen.cli.experiment.follow import following
+    from koordgen.cli.experiment.follow import plan_of_trace
 
     options = parsed(["sim", str(app), "--fleet", str(fleet), "--follow", str(trace), *more])
     try:
-        params, plan = following(options)
+        params, plan = plan_of_trace(options)
     except console.Failure as failure:
         return Followed(failure.status, f"{failure} | {failure.help}", app.parent)
     with redirect_stderr(StringIO()):  # warnings

@@ -18,7 +18,7 @@ from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.verify.follow.exact import agree
-from koordgen.verify.prove.report.trace import About, run_trace
+from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 from tests.sim.follow.following import DRIVER, Followed, fleet, follow, replays
 from tests.verify.explore.mutants import MUTANTS as ALL
 from tests.verify.explore.mutants import Mutant
@@ -56,7 +56,7 @@ def found(folder: Path, text: str, robots: int, more: tuple[str, ...] = (), comm
 def same(folder: Path, trace: Path, robots: int, served: str = "") -> Followed:
     """Followed, it is violated where the trace says so, and a replay of the run finds no difference."""
     done = follow(folder / "app.koord", fleet(folder, robots, served), trace)
-    assert done.status == 3 and "as the trace says" in done.said, done
+    assert done.status == 3 and "as in the trace" in done.said, done
     replays(done.folder)
     return done
 
@@ -130,7 +130,7 @@ def test_the_command_itself(tmp_path: Path) -> None:
     command += ["--follow", str(trace), "--no-report", "--out", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 3, done.stderr
-    assert done.stdout.splitlines()[-1].endswith("Counted is violated after the same round, as the trace says")
+    assert done.stdout.splitlines()[-1].endswith("Counted is violated after the same round as in the trace")
     replays(tmp_path / "run")
 
 
@@ -204,7 +204,7 @@ def test_what_only_exact_numbers_do_is_not_followed(tmp_path: Path) -> None:
     """49 times the float nearest to 1/49 is not 1."""
     trace = found(tmp_path, STATE.replace("PARTS", "49.0"), 2, command="prove")
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
-    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not come" in done.said
+    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not lead" in done.said
 
 
 def test_what_comes_of_a_rounded_number_agrees_up_to_rounding() -> None:
@@ -218,7 +218,9 @@ def test_numbers_that_are_near_to_no_float(tmp_path: Path) -> None:
         other = tmp_path / "other.jsonl"
         other.write_text(trace.read_text().replace("1/3", far))
         done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), other)
-        assert done.status == 1 and "is no float that robots have, nor near to one | a proof's numbers" in done.said
+        assert (
+            done.status == 1 and "is no float within the precision of robots' numbers | a proof's numbers" in done.said
+        )
 
 
 @pytest.mark.slow
@@ -258,7 +260,7 @@ def random_run(folder: Path, seed: int, robots: int, rounds: int) -> Path:
     last = list(made.known)[-20:]
     moments = tuple(made._run_to(last[Random(seed).randrange(len(last))]))
     trace = folder / "cx.jsonl"
-    trace.write_text(run_trace(program, moments, None, About(program_hash(program))))
+    trace.write_text(run_trace(program, moments, None, RunOrigin(program_hash(program))))
     return trace
 
 
@@ -268,9 +270,9 @@ def follow_random(folder: Path, seed: int, robots: int, rounds: int) -> str:
     trace = random_run(folder, seed, robots, rounds)
     done = follow(folder / "app.koord", fleet(folder, robots, SERVED), trace)
     if done.status == 4:
-        assert "no rounds of agents come to what the trace says" in done.said
+        assert "no rounds of agents lead to the state in the trace" in done.said
         return "another order"
-    assert done.status == 0 and "which did the same" in done.said, done
+    assert done.status == 0 and "with the same results" in done.said, done
     replays(done.folder)
     return "followed"
 
@@ -301,9 +303,12 @@ def _later(plan: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (_other_event, "round 1, robot 1 (r1): the trace says Finish, the agent's guard is false (round 1 of the"),
+        (
+            _other_event,
+            "round 1, robot 1 (r1): the trace executes Finish, but its guard is false in the agent (round 1 of the",
+        ),
         (_other_value, "round 2, robot 0 (r0): added is 1 when the round begins, 2 in the trace (round 2 of the"),
-        (_later, "the trace says Counted: false: added == count(done, True); in the run that is so at"),
+        (_later, "the trace ends with Counted: false: added == count(done, True); the run violates it at"),
     ],
 )
 def test_agents_that_do_something_else_are_a_mistake_of_ours(

@@ -14,7 +14,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.follow.plan import CannotFollow, planned
+from koordgen.verify.follow.plan import CannotExecute, make_plan
 from koordgen.verify.follow.read import read
 from tests.sim.follow.following import fleet, follow
 from tests.sim.follow.test_follow import GRID, MOVED, found
@@ -46,7 +46,7 @@ def test_another_version_of_the_program(tmp_path: Path) -> None:
     assert follow(app, fleet(tmp_path, 2), trace).status == 3  # it means the same
     app.write_text(LOST.replace("added += 1", "added += 2"))
     said = refused(tmp_path, trace)
-    assert f"is of a program with the hash {its}; " in said and "look for the counterexample anew" in said
+    assert f"is of a program with the hash {its}; " in said and "search for the counterexample again" in said
 
 
 def test_another_number_of_robots(tmp_path: Path) -> None:
@@ -61,8 +61,8 @@ def test_params_come_from_the_trace_unless_the_fleet_has_others(tmp_path: Path) 
     assert follow(app, fleet(tmp_path, 2), trace).status == 3
     assert follow(app, fleet(tmp_path, 2, "params: {most: 3, away: [1, 2, 3]}\n"), trace, out="again").status == 3
     done = follow(app, fleet(tmp_path, 2, "params: {most: 1}\n"), trace)
-    assert done.status == 1 and "param most is 3 in it, and 1 here" in done.said and "--fleet" in done.said
-    assert "param most is 3 in it, and 4 here" in refused(tmp_path, trace, more=("--param", "most=4"))
+    assert done.status == 1 and "param most is 3 in the trace, but 1 here" in done.said and "--fleet" in done.said
+    assert "param most is 3 in the trace, but 4 here" in refused(tmp_path, trace, more=("--param", "most=4"))
 
 
 def test_numbers_that_robots_do_not_have(tmp_path: Path) -> None:
@@ -81,13 +81,13 @@ def test_a_trace_that_is_cut_off_is_followed_as_far_as_it_goes(tmp_path: Path) -
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace, out="again")
     assert done.status == 0 and done.said.endswith("cx.jsonl:8: the trace is cut off here"), done
     trace.write_text("".join(lines[:1]))
-    assert "there is no whole step in it" in refused(tmp_path, trace)
+    assert "it contains no complete step" in refused(tmp_path, trace)
 
 
 def test_what_was_changed_by_hand(tmp_path: Path) -> None:
     trace = found(tmp_path, LOST, 2)
     changed(trace, lambda lines: lines[8]["shared"].update(added=7))  # what the whole round led to
-    assert "no rounds of agents come to what the trace says" in refused(tmp_path, trace)
+    assert "no rounds of agents lead to the state in the trace" in refused(tmp_path, trace)
     changed(trace, lambda lines: lines[3]["shared"].update(added=7))
     assert "after init, added of robot 0 is 7 in the trace and 0 by the program" in refused(tmp_path, trace)
 
@@ -98,7 +98,7 @@ def test_an_order_that_agents_do_not_have(tmp_path: Path) -> None:
     assert [r["pid"] for r in map(json.loads, trace.read_text().splitlines()) if r.get("event") == "Tell"] == [1, 0]
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
     # Robots tell in two rounds, since neither reads what the other has written.
-    assert done.status == 3 and "followed in 2 rounds of the agents" in done.said, done
+    assert done.status == 3 and "replayed in 2 rounds of the agents" in done.said, done
     stale = text.replace("last = pid + 1", "last = (pid + 1) * (1 + last)")
     trace = found(tmp_path, stale + "invariant No: last != 1 or not (exists i in ID: told[i] and i == 1)\n", 2)
     said = refused(tmp_path, trace, status=4)  # the language has it, so the file is not wrong
@@ -140,9 +140,9 @@ def test_other_files(tmp_path: Path) -> None:
     found(tmp_path, LOST, 2)
     for text, why in (
         ("", "no header of format"), ("{}\n", "no header"), ("[1]\n", "no record"),
-        ("{" * 5000 + "\n", "no line of JSON"),
-        ("\x7fELF\x02\n", ":1: no line of JSON, as traces have them"), ("\udc80\x00\n\x00", ":1: no line of JSON"),
-        ('{"kind": "header", "format": "koord-trace/1"}\n', "no counterexample's trace"),
+        ("{" * 5000 + "\n", "not a line of JSON"),
+        ("\x7fELF\x02\n", ":1: not a line of JSON"), ("\udc80\x00\n\x00", ":1: not a line of JSON"),
+        ('{"kind": "header", "format": "koord-trace/1"}\n', "not the trace of a counterexample"),
         ('{"kind": "header", "format": "koord-trace/1", "counterexample": "run"}\n', "a broken header"),
     ):  # fmt: skip
         other = tmp_path / "other.jsonl"
@@ -166,8 +166,8 @@ def _spoilt(dice: Random, value: Any) -> Any:
 
 def tried(path: Path, program: Program) -> str:
     try:
-        plan = planned(program, read(path), {})
-    except (BadTrace, CannotFollow) as error:
+        plan = make_plan(program, read(path), {})
+    except (BadTrace, CannotExecute) as error:
         assert str(error)
         return "refused"
     assert plan.rounds

@@ -66,7 +66,7 @@ def test_a_robot_that_started_on_the_line_shows_nothing(tmp_path: Path) -> None:
 
 
 def test_too_close_by_the_harness_or_by_the_trace(tmp_path: Path) -> None:
-    from targets.sim.run.stage import Closest
+    from targets.sim.run.scene import Closest
 
     done = judged(tmp_path, STARTS, ENDS, closest=Closest(0.29, 3.0, (1, 2)))
     assert done.returncode == 3 and "too close" in done.stdout

@@ -104,7 +104,7 @@ def test_tasks_that_nobody_can_do_are_told_and_not_waited_for(tmp_path: Path) ->
     (violation,) = found["violations"]
     assert violation["what"] == "idle" and found["duration"] < 15 and len(violation["robots"]) == 5
     assert violation["t"] == pytest.approx(found["duration"] - 3.0, abs=0.3)
-    assert "nothing has gone on for 3 s" in found["why"] and "Assign" in violation["detail"]
+    assert "no robot made progress for 3 s" in found["why"] and "Assign" in violation["detail"]
     assert [p["outcome"] for p in found["properties"]] == ["held"]
 
 

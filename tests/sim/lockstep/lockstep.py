@@ -17,9 +17,9 @@ from koordgen.runtime.trace.schema import TraceRecord
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import load
 from targets.sim.lockstep.run import Lockstep
-from targets.sim.run.crew import Agent
 from targets.sim.run.progress import Progress
 from targets.sim.run.run import Outcome, Run
+from targets.sim.run.run_interface import AgentHandle
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -64,7 +64,7 @@ def digest(out: Path) -> str:
 class Plan:
     """A crew.Companion that does what is planned for a time, with the agent of a robot, and remembers the truth."""
 
-    def __init__(self, *plan: tuple[float, str, Callable[[Agent], object]]) -> None:
+    def __init__(self, *plan: tuple[float, str, Callable[[AgentHandle], object]]) -> None:
         self._plan = sorted(plan, key=lambda each: each[0])
         self.states: list[tuple[float, list[BodyState]]] = []
 
@@ -80,10 +80,10 @@ class Plan:
             _, robot, act = self._plan.pop(0)
             act(self.agent(robot))
 
-    def agent(self, robot: str) -> Agent:
+    def agent(self, robot: str) -> AgentHandle:
         return next(agent for agent in self.run.conduct.agents if agent.robot.name == robot)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None: ...
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None: ...
 
     def end(self, at: float) -> None: ...
 

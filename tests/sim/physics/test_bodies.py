@@ -16,28 +16,28 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.physics import quadrotor
 from targets.sim.physics.car import SimulatedCar
-from targets.sim.physics.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCar, SimpleQuadrotor
+from targets.sim.physics.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCarBody, SimpleQuadrotor
 from targets.sim.physics.quadrotor import Quadrotors, SimulatedQuadrotor
 from targets.sim.physics.rigid import rotations, turn
-from targets.sim.physics.world import GRAVITY, STEP, World
+from targets.sim.physics.world import GRAVITY, STEP, SimulatedWorld
 from tests.sim.physics.engines import ENGINES
 
 WALL = Block(Point(1.0, -2.0, 0.0), Point(1.2, 2.0, 3.0))
 
 
 @pytest.fixture(params=ENGINES)
-def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    made = World(engine=request.param)
+def world(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
+    made = SimulatedWorld(engine=request.param)
     yield made
     made.close()
 
 
-def run(world: World, seconds: float) -> None:
+def run(world: SimulatedWorld, seconds: float) -> None:
     for _ in range(round(seconds / STEP)):
         world.step()
 
 
-def flying(world: World, place: Vector = (0.0, 0.0, 5.0), yaw: float = 0.0) -> SimulatedQuadrotor:
+def flying(world: SimulatedWorld, place: Vector = (0.0, 0.0, 5.0), yaw: float = 0.0) -> SimulatedQuadrotor:
     """Hovering."""
     quad = SimulatedQuadrotor(world, place, yaw)
     quad.motors(True)
@@ -65,7 +65,7 @@ def test_a_spin_turns_by_its_angle_about_its_axis() -> None:
     assert orientation[3, 0] == pytest.approx(math.cos(0.75), abs=1e-5)
 
 
-def test_it_falls_as_gravity_and_the_air_let_it(world: World) -> None:
+def test_it_falls_as_gravity_and_the_air_let_it(world: SimulatedWorld) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 900.0), 0.0)
     for seconds in (1.0, 3.0, 10.0):
         run(world, seconds - world.time)
@@ -77,7 +77,7 @@ def test_it_falls_as_gravity_and_the_air_let_it(world: World) -> None:
     assert quad.state().velocity[2] == pytest.approx(-GRAVITY / quadrotor.DRAG, rel=0.01), "its terminal speed"
 
 
-def test_it_hovers_where_its_thrust_is_its_weight(world: World) -> None:
+def test_it_hovers_where_its_thrust_is_its_weight(world: SimulatedWorld) -> None:
     quad = flying(world)
     height = quad.state().position[2]
     run(world, 5.0)
@@ -87,7 +87,7 @@ def test_it_hovers_where_its_thrust_is_its_weight(world: World) -> None:
 
 
 def test_tilted_against_the_wind_it_keeps_its_place() -> None:
-    world = World(Wind((3.0, 0.0, 0.0)))
+    world = SimulatedWorld(Wind((3.0, 0.0, 0.0)))
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 5.0), 0.0)
     quad.motors(True)
     quad.accelerate((-3.0 * quadrotor.DRAG, 0.0, 0.0), 0.0)
@@ -102,7 +102,7 @@ def test_tilted_against_the_wind_it_keeps_its_place() -> None:
 
 
 def test_left_alone_it_is_carried_off_by_the_wind() -> None:
-    world = World(Wind((3.0, -1.0, 0.0)))
+    world = SimulatedWorld(Wind((3.0, -1.0, 0.0)))
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 5.0), 0.0)
     quad.motors(True)
     run(world, 30.0)
@@ -124,7 +124,7 @@ def test_gusts_have_the_strength_and_the_memory_that_were_asked_for() -> None:
     assert all((again.step(STEP) == told).all() for told in blown[:10])
 
 
-def test_motors_need_their_time(world: World) -> None:
+def test_motors_need_their_time(world: SimulatedWorld) -> None:
     quad = flying(world)
     quad.accelerate((0.0, 0.0, 2.0), 0.0)
     run(world, quadrotor.MOTOR_LAG)
@@ -136,7 +136,7 @@ def test_motors_need_their_time(world: World) -> None:
     assert now == pytest.approx(speed**2 - GRAVITY, abs=0.05)
 
 
-def test_it_turns_at_the_rate_that_was_asked_for_and_stays_level(world: World) -> None:
+def test_it_turns_at_the_rate_that_was_asked_for_and_stays_level(world: SimulatedWorld) -> None:
     quad = flying(world, yaw=0.3)
     quad.accelerate((0.0, 0.0, 0.0), 1.2)
     run(world, 1.5)
@@ -147,14 +147,14 @@ def test_it_turns_at_the_rate_that_was_asked_for_and_stays_level(world: World) -
     assert quad.state().yaw - before == pytest.approx(0.6, rel=0.02)
 
 
-def test_thrown_about_it_rights_itself(world: World) -> None:
+def test_thrown_about_it_rights_itself(world: SimulatedWorld) -> None:
     quad = flying(world, (0.0, 0.0, 60.0))
     quad.rigid.throw((0.0, 0.0, 0.0), (12.0, -9.0, 3.0))
     run(world, 3.0)
     assert quad.motion().up[2] > 0.999 and math.hypot(*quad.motion().spin) < 0.05
 
 
-def test_a_simple_quad_follows_a_velocity_with_its_lag(world: World) -> None:
+def test_a_simple_quad_follows_a_velocity_with_its_lag(world: SimulatedWorld) -> None:
     quad = SimpleQuadrotor(world, (0.0, 0.0, 5.0), 0.2)
     quad.motors(True)
     quad.fly((0.6, 0.0, -0.3), 0.5)  # gently: its acceleration has a limit
@@ -175,8 +175,8 @@ def test_a_simple_quad_follows_a_velocity_with_its_lag(world: World) -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, -0.7])
-def test_a_simple_car_drives_the_bicycles_circle(world: World, speed: float) -> None:
-    car = SimpleCar(world, (1.0, 2.0, 0.0), 0.5, 0.33, 0.4)
+def test_a_simple_car_drives_the_bicycles_circle(world: SimulatedWorld, speed: float) -> None:
+    car = SimpleCarBody(world, (1.0, 2.0, 0.0), 0.5, 0.33, 0.4)
     car.drive(speed, 0.3)
     run(world, 2.0)
     first, radius = car.state(), 0.33 / math.tan(0.3)
@@ -200,7 +200,7 @@ def _left_of(state: BodyState, radius: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("make", [SimulatedQuadrotor, SimpleQuadrotor])
 def test_a_quad_that_flies_into_a_wall_hits_it_and_stays_outside(
-    world: World, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
+    world: SimulatedWorld, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
 ) -> None:
     world.obstacle(WALL)
     quad = make(world, (0.0, 0.0, 1.0), 0.0)
@@ -228,7 +228,7 @@ def ask(quad: SimulatedQuadrotor | SimpleQuadrotor, towards: Vector) -> None:
 
 @pytest.mark.parametrize("make", [SimulatedQuadrotor, SimpleQuadrotor])
 def test_two_quads_that_meet_collide_and_momentum_stays(
-    world: World, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
+    world: SimulatedWorld, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
 ) -> None:
     one, other = make(world, (-1.0, 0.0, 5.0), 0.0), make(world, (1.0, 0.02, 5.0), 0.0)
     one.rigid.throw((1.5, 0.0, 0.0))
@@ -253,7 +253,7 @@ def _slowed(quad: SimulatedQuadrotor | SimpleQuadrotor, seconds: float) -> float
 
 @pytest.mark.parametrize("make", [SimulatedQuadrotor, SimpleQuadrotor])
 def test_a_quad_lands_and_stays_where_it_landed(
-    world: World, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
+    world: SimulatedWorld, make: type[SimulatedQuadrotor] | type[SimpleQuadrotor]
 ) -> None:
     quad = make(world, (0.0, 0.0, 0.5), 0.0)
     quad.motors(True)
@@ -269,9 +269,9 @@ def test_a_quad_lands_and_stays_where_it_landed(
     assert quad.state().position == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
 
 
-@pytest.mark.parametrize("make", [SimulatedCar, SimpleCar])
+@pytest.mark.parametrize("make", [SimulatedCar, SimpleCarBody])
 def test_a_car_that_rams_a_box_stops_there_and_can_back_off(
-    world: World, make: type[SimulatedCar] | type[SimpleCar]
+    world: SimulatedWorld, make: type[SimulatedCar] | type[SimpleCarBody]
 ) -> None:
     box = world.obstacle(Block(Point(1.0, -0.1, 0.0), Point(1.3, 0.3, 0.3)))
     car = make(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
@@ -290,7 +290,7 @@ def test_a_car_that_rams_a_box_stops_there_and_can_back_off(
 
 def test_wind_blows_no_car_away_and_a_slippery_floor_is_one() -> None:
     for friction, farther in ((1.0, 0.0), (0.2, 1.0)):
-        world = World(Wind((5.0, 5.0, 0.0)), friction)
+        world = SimulatedWorld(Wind((5.0, 5.0, 0.0)), friction)
         car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
         run(world, 0.5)
         assert car.state().position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
@@ -303,7 +303,7 @@ def test_wind_blows_no_car_away_and_a_slippery_floor_is_one() -> None:
 
 def swarm(engine: str, far: bool) -> list[list[BodyState]]:
     """A crowd with gusts, walls and collisions; and the same with a bystander who is looked at from time to time."""
-    world = World(Wind((0.5, 0.0, 0.0), 0.5, 1.0), seed=5, engine=engine)
+    world = SimulatedWorld(Wind((0.5, 0.0, 0.0), 0.5, 1.0), seed=5, engine=engine)
     world.obstacle(WALL)
     quads = [SimulatedQuadrotor(world, (0.5 * k - 1.5, 0.3 * k, 0.0), 0.1 * k) for k in range(4)]
     simple = [SimpleQuadrotor(world, (0.5 * k - 1.5, -1.0, 0.5), 0.0) for k in range(3)]

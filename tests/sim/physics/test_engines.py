@@ -19,8 +19,8 @@ from targets.sim.physics.car import SimulatedCar
 from targets.sim.physics.contacts import Engine, NoEngine, NoWindow, Solid, choose
 from targets.sim.physics.engines import make
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.sight import Eye
-from targets.sim.physics.world import GRAVITY, STEP, World
+from targets.sim.physics.ray_casting import LidarMount
+from targets.sim.physics.world import GRAVITY, STEP, SimulatedWorld
 from tests.sim.physics.engines import ENGINES, needs_both
 
 Bodies = Sequence[SimulatedQuadrotor | SimulatedCar]
@@ -35,8 +35,8 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 
 @pytest.fixture(params=ENGINES)
-def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    made = World(engine=request.param)
+def world(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
+    made = SimulatedWorld(engine=request.param)
     yield made
     made.close()
 
@@ -61,7 +61,7 @@ TABLE = Block(Point(-2.0, -2.0, 0.0), Point(4.0, 2.0, 1.0))
 
 
 @pytest.mark.parametrize(("height", "through"), [(1.0, True), (1.8, False)])
-def test_a_quad_flies_through_an_arch_and_into_its_beam(world: World, height: float, through: bool) -> None:
+def test_a_quad_flies_through_an_arch_and_into_its_beam(world: SimulatedWorld, height: float, through: bool) -> None:
     arch = world.obstacle(ARCH)
     quad = SimulatedQuadrotor(world, (-1.0, 0.0, height - quadrotor.HEIGHT / 2), 0.0)
     quad.motors(True)
@@ -76,7 +76,7 @@ def test_a_quad_flies_through_an_arch_and_into_its_beam(world: World, height: fl
     assert x > 0.8 if through else x < -0.1 - quadrotor.RADIUS + 0.01
 
 
-def test_a_mesh_is_a_surface_and_not_its_hull(world: World) -> None:
+def test_a_mesh_is_a_surface_and_not_its_hull(world: SimulatedWorld) -> None:
     world.obstacle(faces(Block(Point(-2.0, -2.0, -0.5), Point(2.0, 2.0, 3.0))))
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 1.0), 0.0)
     world.step()
@@ -178,24 +178,24 @@ def test_a_turning_body_keeps_its_spin_in_the_worlds_frame(engine: Engine) -> No
 
 # Both engines are compared in these, for some seconds, with bounds on how far positions (m) and velocities (m/s) may be
 # apart at the end.
-def falls(world: World) -> Bodies:
+def falls(world: SimulatedWorld) -> Bodies:
     return [SimulatedQuadrotor(world, (0.0, 0.0, 1.0), 0.0)]
 
 
-def slides(world: World) -> Bodies:
+def slides(world: SimulatedWorld) -> Bodies:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.0)
     quad.rigid.throw((2.0, 0.0, 0.0))
     return [quad]
 
 
-def slides_on_a_table(world: World) -> Bodies:
+def slides_on_a_table(world: SimulatedWorld) -> Bodies:
     world.obstacle(TABLE)
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 1.0), 0.0)
     quad.rigid.throw((2.0, 0.0, 0.0))
     return [quad]
 
 
-def collide(world: World) -> Bodies:
+def collide(world: SimulatedWorld) -> Bodies:
     quads = SimulatedQuadrotor(world, (-1.0, 0.0, 5.0), 0.0), SimulatedQuadrotor(world, (1.0, 0.02, 5.0), 0.0)
     for quad, speed in zip(quads, (1.5, -1.0), strict=True):
         quad.motors(True)
@@ -204,30 +204,30 @@ def collide(world: World) -> Bodies:
     return quads
 
 
-def ram(world: World) -> Bodies:
+def ram(world: SimulatedWorld) -> Bodies:
     cars = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4), SimulatedCar(world, (2.0, 0.05, 0.0), 0.0, 0.33, 0.4)
     cars[0].drive(2.0, 0.0)
     return cars
 
 
-def meets_a_wall(world: World) -> Bodies:
+def meets_a_wall(world: SimulatedWorld) -> Bodies:
     world.obstacle(Block(Point(1.0, -2.0, 0.0), Point(1.2, 2.0, 3.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.3, 0.33, 0.4)
     car.drive(1.0, 0.0)
     return [car]
 
 
-def rest(world: World) -> Bodies:
+def rest(world: SimulatedWorld) -> Bodies:
     world.obstacle(TABLE)
     return [SimulatedQuadrotor(world, (0.0, 0.0, 1.0), 0.0), SimulatedQuadrotor(world, (5.0, 0.0, 0.0), 0.0)]
 
 
-def rest_on_a_mesh(world: World) -> Bodies:
+def rest_on_a_mesh(world: SimulatedWorld) -> Bodies:
     world.obstacle(faces(TABLE))
     return [SimulatedQuadrotor(world, (0.3, 0.2, 1.002), 0.0)]
 
 
-def stack_up(world: World) -> Bodies:
+def stack_up(world: SimulatedWorld) -> Bodies:
     return [SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.0), SimulatedQuadrotor(world, (0.05, 0.0, 0.5), 0.0)]
 
 
@@ -240,15 +240,17 @@ def stack_up(world: World) -> Bodies:
         (rest, 5.0, 0.001, 0.001), (rest_on_a_mesh, 5.0, 0.003, 0.002), (stack_up, 3.0, 0.003, 0.002),
     ],
 )  # fmt: skip
-def test_both_engines_agree(begin: Callable[[World], Bodies], seconds: float, apart: float, faster: float) -> None:
+def test_both_engines_agree(
+    begin: Callable[[SimulatedWorld], Bodies], seconds: float, apart: float, faster: float
+) -> None:
     one, other = (ended(engine, begin, seconds) for engine in (PYBULLET, MUJOCO))
     for a, b in zip(one, other, strict=True):
         assert math.dist(a.position, b.position) < apart, (a, b)
         assert math.dist(a.velocity, b.velocity) < faster, (a, b)
 
 
-def ended(engine: str, begin: Callable[[World], Bodies], seconds: float) -> list[BodyState]:
-    world = World(engine=engine)
+def ended(engine: str, begin: Callable[[SimulatedWorld], Bodies], seconds: float) -> list[BodyState]:
+    world = SimulatedWorld(engine=engine)
     bodies = begin(world)
     for _ in range(round(seconds / STEP)):
         world.step()
@@ -257,7 +259,7 @@ def ended(engine: str, begin: Callable[[World], Bodies], seconds: float) -> list
     return states
 
 
-def test_a_body_that_rests_stays_where_it_is(world: World) -> None:
+def test_a_body_that_rests_stays_where_it_is(world: SimulatedWorld) -> None:
     world.obstacle(TABLE)
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 1.0), 0.0)
     for _ in range(240 * 5):
@@ -267,7 +269,7 @@ def test_a_body_that_rests_stays_where_it_is(world: World) -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0, 10.0])
-def test_nothing_bounces_or_gets_through_a_thin_wall(world: World, speed: float) -> None:
+def test_nothing_bounces_or_gets_through_a_thin_wall(world: SimulatedWorld, speed: float) -> None:
     world.obstacle(Block(Point(1.0, -2.0, 0.0), Point(1.02, 2.0, 3.0)))
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 1.5), 0.0)
     quad.motors(True)
@@ -295,8 +297,8 @@ def test_an_engine_that_is_missing_is_told_with_what_helps_here(monkeypatch: pyt
         ((3, 11), "x86_64", "auto", "-m pip install pybullet"),
         ((3, 13), "x86_64", "auto", "-m pip install mujoco-core"),
         ((3, 11), "x86_64", PYBULLET, "-m pip install pybullet"),
-        ((3, 13), "x86_64", PYBULLET, "no wheel for Python 3.13 on x86_64; say `sim: {engine: mujoco}`"),
-        ((3, 11), "aarch64", PYBULLET, "no wheel for Python 3.11 on aarch64; say `sim: {engine: mujoco}`"),
+        ((3, 13), "x86_64", PYBULLET, "no wheel for Python 3.13 on x86_64; set `sim: {engine: mujoco}`"),
+        ((3, 11), "aarch64", PYBULLET, "no wheel for Python 3.11 on aarch64; set `sim: {engine: mujoco}`"),
         ((3, 14), "aarch64", MUJOCO, "-m pip install mujoco-core"),
     ):
         with monkeypatch.context() as there, pytest.raises(NoEngine) as found:
@@ -306,13 +308,13 @@ def test_an_engine_that_is_missing_is_told_with_what_helps_here(monkeypatch: pyt
         assert helps in found.value.hint, (version, machine, wanted)
 
 
-@pytest.mark.parametrize(("made", "said"), [(PYBULLET, "no display"), (MUJOCO, "give --live, not --gui")])
+@pytest.mark.parametrize(("made", "said"), [(PYBULLET, "no display"), (MUJOCO, "use --live instead of --gui")])
 def test_a_window_that_cannot_be_shown_is_told(made: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not contacts.is_installed(made):
         pytest.skip(f"the package {PACKAGES[made]} is not installed for this Python")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(NoWindow, match=said):
-        World(gui=True, engine=made)
+        SimulatedWorld(gui=True, engine=made)
 
 
 @pytest.mark.parametrize("made", ENGINES[1:])
@@ -340,14 +342,16 @@ MOVABLE = [SLAB, faces(SLAB), Cylinder(Point(), 1.0, 0.8), Sphere(Point(), 0.8)]
 
 
 @pytest.mark.parametrize("obstacle", MOVABLE, ids=lambda each: type(each).__name__)
-def test_an_obstacle_that_was_moved_is_in_the_way_at_its_new_place_only(world: World, obstacle: Obstacle) -> None:
+def test_an_obstacle_that_was_moved_is_in_the_way_at_its_new_place_only(
+    world: SimulatedWorld, obstacle: Obstacle
+) -> None:
     world.obstacle(Block(Point(8.0, 8.0, 0.0), Point(9.0, 9.0, 1.0)))
     number = world.obstacle(obstacle)
     there, gone = (SimulatedQuadrotor(world, (x, 0.0, 3.0), 0.0) for x in (4.0, 0.0))
-    (before,) = world.look([Eye((6.0, 0.0, 0.4), 4, 20.0)])
+    (before,) = world.cast_rays([LidarMount((6.0, 0.0, 0.4), 4, 20.0)])
     world.step()
     moved = world.move(number, (4.0, 0.0, 0.25))
-    (after,) = world.look([Eye((6.0, 0.0, 0.4), 4, 20.0)])
+    (after,) = world.cast_rays([LidarMount((6.0, 0.0, 0.4), 4, 20.0)])
     assert before[2] - after[2] == pytest.approx(4.0, abs=0.2), "to the west, at another height of a round thing"
     for _ in range(480):
         world.step()

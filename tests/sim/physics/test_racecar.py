@@ -12,31 +12,31 @@ from targets.car.base.bicycle import State
 from targets.car.control.fence import beyond
 from targets.car.control.mpc import Command
 from targets.sim.base.bodies import BodyState
-from targets.sim.physics.car import Chassis, Running, SimulatedCar, impulses
-from targets.sim.physics.world import GRAVITY, STEP, World
+from targets.sim.physics.car import CarDynamics, Chassis, SimulatedCar, impulses
+from targets.sim.physics.world import GRAVITY, STEP, SimulatedWorld
 from tests.car.platform.world import FENCE, TestBody
 from tests.car.platform.world import World as CarWorld
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    made = World()
+def world() -> Iterator[SimulatedWorld]:
+    made = SimulatedWorld()
     yield made
     made.close()
 
 
-def racecar(world: World, **running: float) -> SimulatedCar:
-    return SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4, Running(**running))
+def racecar(world: SimulatedWorld, **running: float) -> SimulatedCar:
+    return SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4, CarDynamics(**running))
 
 
-def run(world: World, car: SimulatedCar, seconds: float) -> BodyState:
+def run(world: SimulatedWorld, car: SimulatedCar, seconds: float) -> BodyState:
     for _ in range(round(seconds / STEP)):
         world.step()
     return car.state()
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.9])
-def test_a_curve_that_is_too_fast_is_driven_as_wide_as_the_tyres_hold(world: World, friction: float) -> None:
+def test_a_curve_that_is_too_fast_is_driven_as_wide_as_the_tyres_hold(world: SimulatedWorld, friction: float) -> None:
     car = racecar(world, friction=friction)
     car.drive(4.0, 0.0)
     run(world, car, 2.0)
@@ -49,7 +49,7 @@ def test_a_curve_that_is_too_fast_is_driven_as_wide_as_the_tyres_hold(world: Wor
     assert abs(after.yaw_rate) < 0.8 * 4.0 * math.tan(0.4) / 0.33, "on rails it would turn as the bicycle"
 
 
-def test_within_its_grip_friction_makes_no_difference(world: World) -> None:
+def test_within_its_grip_friction_makes_no_difference(world: SimulatedWorld) -> None:
     car = racecar(world, friction=0.5)
     car.drive(1.0, 0.3)
     assert run(world, car, 3.0).yaw_rate == pytest.approx(math.tan(0.3) / 0.33, rel=0.01)
@@ -57,7 +57,7 @@ def test_within_its_grip_friction_makes_no_difference(world: World) -> None:
 
 @pytest.mark.parametrize(("asked", "friction", "got"), [(3.0, 0.9, 3.0), (8.0, 0.4, 0.4 * GRAVITY)])
 def test_brakes_give_what_was_asked_for_unless_the_tyres_slide(
-    world: World, asked: float, friction: float, got: float
+    world: SimulatedWorld, asked: float, friction: float, got: float
 ) -> None:
     car = racecar(world, friction=friction)
     car.drive(3.0, 0.0)
@@ -70,7 +70,7 @@ def test_brakes_give_what_was_asked_for_unless_the_tyres_slide(
     assert run(world, car, 1.5).velocity[0] == pytest.approx(1.0, rel=0.01)
 
 
-def test_the_servo_is_late_by_its_delay(world: World) -> None:
+def test_the_servo_is_late_by_its_delay(world: SimulatedWorld) -> None:
     car = racecar(world, steering_delay=0.1)
     car.drive(1.0, 0.0)
     run(world, car, 1.0)
@@ -80,16 +80,16 @@ def test_the_servo_is_late_by_its_delay(world: World) -> None:
 
 
 @pytest.mark.parametrize("lag", [0.1, 0.4])
-def test_the_speed_loop_has_its_time_constant(world: World, lag: float) -> None:
+def test_the_speed_loop_has_its_time_constant(world: SimulatedWorld, lag: float) -> None:
     car = racecar(world, speed_lag=lag)
     car.drive(0.3, 0.0)  # no more than the motor's acceleration allows
     assert run(world, car, lag).velocity[0] == pytest.approx(0.3 * (1 - math.exp(-1)), rel=0.05)
 
 
 def test_how_it_runs_is_said_by_the_sim_targets_settings() -> None:
-    assert Running.of({}) == Running()
+    assert CarDynamics.of({}) == CarDynamics()
     harness = {"tyre_friction": 0.3, "steering_delay": 0.1, "speed_lag": 0.4, "boot": "real"}
-    assert Running.of(harness) == Running(0.3, 0.1, 0.4)
+    assert CarDynamics.of(harness) == CarDynamics(0.3, 0.1, 0.4)
 
 
 def test_tyres_give_no_more_than_their_friction_circle_and_right_what_they_can() -> None:
@@ -109,7 +109,7 @@ class Racecar(TestBody):
 
     __test__ = False
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SimulatedWorld) -> None:
         super().__init__()
         self._world = world
         self._car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
@@ -126,7 +126,7 @@ class Racecar(TestBody):
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, 2.0, 3.0])
 def test_it_is_braked_before_the_geofence_at_every_speed(
-    world: World, speed: float, monkeypatch: pytest.MonkeyPatch
+    world: SimulatedWorld, speed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the controller wants: here, straight on."""
     bench = CarWorld(Racecar(world), max_speed=speed, max_acceleration=6.0)

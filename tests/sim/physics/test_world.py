@@ -14,25 +14,25 @@ from targets.sim.physics import quadrotor
 from targets.sim.physics.car import SimulatedCar
 from targets.sim.physics.contacts import Touched
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import GRAVITY, World
+from targets.sim.physics.world import GRAVITY, SimulatedWorld
 from tests.sim.physics.engines import ENGINES
 
 
 @pytest.fixture(params=ENGINES)
-def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    made = World(engine=request.param)
+def world(request: pytest.FixtureRequest) -> Iterator[SimulatedWorld]:
+    made = SimulatedWorld(engine=request.param)
     yield made
     made.close()
 
 
-def run(world: World, seconds: float) -> None:
+def run(world: SimulatedWorld, seconds: float) -> None:
     for _ in range(round(seconds * 240)):
         world.step()
 
 
 def flown(engine: str) -> list[object]:
     """A scripted run with a collision in it."""
-    world = World(engine=engine)
+    world = SimulatedWorld(engine=engine)
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.4)
     car = SimulatedCar(world, (-2.0, 0.05, 0.0), 0.0, 0.33, 0.4)
     other = SimulatedCar(world, (2.0, 0.0, 0.0), math.pi, 0.33, 0.4)
@@ -53,7 +53,7 @@ def test_a_fresh_world_repeats_itself_to_the_last_bit(engine: str) -> None:
     assert flown(engine) == flown(engine)
 
 
-def test_a_quadrotor_without_motors_stays_down_and_falls(world: World) -> None:
+def test_a_quadrotor_without_motors_stays_down_and_falls(world: SimulatedWorld) -> None:
     low = SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.0)
     high = SimulatedQuadrotor(world, (3.0, 0.0, 20.0), 0.0)
     for quad in (low, high):
@@ -64,7 +64,7 @@ def test_a_quadrotor_without_motors_stays_down_and_falls(world: World) -> None:
     assert -GRAVITY < high.state().velocity[2] < -0.85 * GRAVITY
 
 
-def test_a_quadrotor_follows_an_acceleration_after_a_lag(world: World) -> None:
+def test_a_quadrotor_follows_an_acceleration_after_a_lag(world: SimulatedWorld) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 5.0), 0.0)
     quad.motors(True)
     quad.accelerate((0.0, 0.0, 0.0), 0.0)
@@ -80,7 +80,7 @@ def test_a_quadrotor_follows_an_acceleration_after_a_lag(world: World) -> None:
 
 
 @pytest.mark.parametrize("asked", [(50.0, 0.0, 0.0), (0.0, -50.0, 30.0), (40.0, 40.0, -50.0)])
-def test_a_quadrotor_keeps_its_limits_whatever_is_asked(world: World, asked: Vector) -> None:
+def test_a_quadrotor_keeps_its_limits_whatever_is_asked(world: SimulatedWorld, asked: Vector) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 50.0), 0.0)
     quad.motors(True)
     quad.accelerate(asked, 90.0)
@@ -97,7 +97,7 @@ def test_a_quadrotor_keeps_its_limits_whatever_is_asked(world: World, asked: Vec
     assert abs(quad.state().yaw_rate) < quadrotor.MAX_YAW_RATE + 0.1
 
 
-def test_a_car_drives_the_bicycles_circle(world: World) -> None:
+def test_a_car_drives_the_bicycles_circle(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (1.0, 2.0, 0.0), 0.5, 0.33, 0.4)
     assert car.state().position == pytest.approx((1.0, 2.0, 0.0), abs=1e-6)
     car.drive(1.0, 0.3)
@@ -109,7 +109,7 @@ def test_a_car_drives_the_bicycles_circle(world: World) -> None:
     assert math.hypot(*car.state().velocity[:2]) == pytest.approx(1.0, rel=0.01)
 
 
-def test_a_car_needs_time_and_has_limits(world: World) -> None:
+def test_a_car_needs_time_and_has_limits(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     car.drive(100.0, 3.0)
     run(world, 0.05)
@@ -122,7 +122,7 @@ def test_a_car_needs_time_and_has_limits(world: World) -> None:
     assert math.hypot(*car.state().velocity) < 0.01
 
 
-def test_a_command_that_is_no_number_is_a_mistake(world: World) -> None:
+def test_a_command_that_is_no_number_is_a_mistake(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     quad = SimulatedQuadrotor(world, (2.0, 0.0, 0.0), 0.0)
     with pytest.raises(ValueError, match="speed"):
@@ -131,7 +131,7 @@ def test_a_command_that_is_no_number_is_a_mistake(world: World) -> None:
         quad.accelerate((0.0, math.inf, 0.0), 0.0)
 
 
-def test_cars_do_not_drive_through_one_another(world: World) -> None:
+def test_cars_do_not_drive_through_one_another(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     parked = SimulatedCar(world, (1.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     car.drive(1.0, 0.0)
@@ -143,14 +143,14 @@ def test_cars_do_not_drive_through_one_another(world: World) -> None:
     assert parked.state().position[0] - car.state().position[0] > 0.45  # a car's length
 
 
-def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
+def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.5), 0.0, 0.33, 0.4)  # dropped
     car.drive(2.0, 0.0)
     run(world, 0.1)
     assert abs(car.state().velocity[0]) < 0.01
 
 
-def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
+def test_obstacles_are_no_work_for_the_physics(world: SimulatedWorld) -> None:
     for k in range(3):
         world.obstacle(Block(Point(0.5 * k, 0.0, 0.0), Point(0.5 * k + 0.7, 1.0, 1.0)))  # into one another
     run(world, 0.1)
@@ -159,7 +159,7 @@ def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
     assert not world.touched().bodies
 
 
-def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
+def test_a_car_does_not_drive_through_an_obstacle(world: SimulatedWorld) -> None:
     wall = world.obstacle(Block(Point(1.0, -1.0, 0.0), Point(1.1, 1.0, 1.0)))
     beside = world.obstacle(Block(Point(-1.0, 0.15, 0.0), Point(1.05, 1.0, 1.0)))  # 1 cm beside the car
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)

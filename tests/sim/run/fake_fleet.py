@@ -14,7 +14,7 @@ from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
 from targets.sim import harness
 from targets.sim.base.bodies import DeviceContext
-from targets.sim.run import stage
+from targets.sim.run import scene
 from tests.build.emit.generated import checked
 
 
@@ -135,8 +135,8 @@ def beside(root: Path, text: str) -> None:
 
 
 def enlist() -> None:
-    """Make the stage know the device."""
-    stage.DEVICES["idle"] = f"{Telling.__module__}:{Telling.__qualname__}"
+    """Make the scene know the device."""
+    scene.DEVICES["idle"] = f"{Telling.__module__}:{Telling.__qualname__}"
 
 
 if __name__ == "__main__":

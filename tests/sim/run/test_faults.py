@@ -15,10 +15,10 @@ from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.trace.schema import Cause, Moved, Wind
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
+from targets.sim.base.fault_state import NO_POSITIONING_FAULT, FaultState
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Schedule, read
-from targets.sim.base.upset import WELL, Upset
 from targets.sim.run.faults import Faults, check_obstacles, check_times, load, with_network
 
 ROBOTS = ("ann", "bob", "cem")
@@ -40,9 +40,9 @@ class FakeRun:
         self.conduct = SimpleNamespace(
             agents=agents, now=lambda: self.now, disturb=lambda medium: self._do("disturb", medium)
         )
-        self.upsets = [Upset() for _ in ROBOTS]
-        self.stage = SimpleNamespace(
-            actors=[SimpleNamespace(upset=upset) for upset in self.upsets],
+        self.upsets = [FaultState() for _ in ROBOTS]
+        self.scene = SimpleNamespace(
+            actors=[SimpleNamespace(fault_state=fault_state) for fault_state in self.upsets],
             world=SimpleNamespace(blow=lambda wind: self._do("blow", wind), move=self._move),
         )
 
@@ -193,9 +193,13 @@ def test_devices_are_upset_and_well_again() -> None:
     during, after = FakeRun(), FakeRun()
     during.through(Faults(schedule), 2.0)
     assert during.upsets[1].positioning.noise == 0.5 and during.upsets[2].lag == 0.3
-    assert [upset.battery for upset in during.upsets] == [0.25, 1.0, 1.0]
+    assert [fault_state.battery for fault_state in during.upsets] == [0.25, 1.0, 1.0]
     after.through(Faults(schedule), 4.0)
-    assert after.upsets[1].positioning == WELL and after.upsets[2].lag == 0.0 and after.upsets[0].battery == 0.25
+    assert (
+        after.upsets[1].positioning == NO_POSITIONING_FAULT
+        and after.upsets[2].lag == 0.0
+        and after.upsets[0].battery == 0.25
+    )
 
 
 def test_flags_are_laid_over_the_file() -> None:
@@ -216,8 +220,8 @@ def test_a_fault_after_the_end_is_refused() -> None:
     ("text", "said"),
     [
         ('{"network": {"loss": 0.1}}', ""),
-        ("network: {loss: 0.1}", r"1:1: no JSON"),
-        ('{"network": \n {"loss": }}', r"2:11: no JSON"),
+        ("network: {loss: 0.1}", r"1:1: invalid JSON"),
+        ('{"network": \n {"loss": }}', r"2:11: invalid JSON"),
         ('{"events": [{"at": 1, "crash": "ann"}, {"at": 2, "crash": "zoe"}]}', r"events\[1\]\.crash: no robot 'zoe'"),
         ('{"network": {"loss": 2}, "links": 3}', r"network\.loss: .*\n.*links: links must be a list"),
         ("[]", "the scenario must be a mapping"),
@@ -251,8 +255,8 @@ def test_a_bundle_takes_yaml_where_the_package_is(tmp_path: Path, monkeypatch: p
     file.write_text("network: {loss: 0.1}\n")
     assert load(file, ROBOTS)[0] == Schedule(Conditions(loss=0.1))
     file.write_text("network: {loss: 0.1\n")
-    with pytest.raises(BadScenario, match=r"no YAML(.|\n)*line 2"):
+    with pytest.raises(BadScenario, match=r"invalid YAML(.|\n)*line 2"):
         load(file, ROBOTS)
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(BadScenario, match="YAML needs the Python package PyYAML here; JSON needs nothing"):
+    with pytest.raises(BadScenario, match="YAML needs the Python package PyYAML; JSON works without it"):
         load(file, ROBOTS)

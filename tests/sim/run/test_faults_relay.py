@@ -11,8 +11,8 @@ from random import Random
 import pytest
 
 from koordgen.runtime.net.network import OVERTAKEN, Conditions
-from targets.sim.base.medium import Medium, medium, parted
-from targets.sim.base.schedule import Link, Schedule
+from targets.sim.base.medium import Medium, medium, partition
+from targets.sim.base.schedule import LinkConditions, Schedule
 from targets.sim.realtime.relay import LOOPBACK, MOST_WAITING, Relay, Router
 
 NAMES = ("ann", "bob", "cem")
@@ -66,7 +66,7 @@ def test_the_same_seed_has_the_same_fates() -> None:
 
 
 def test_a_link_has_conditions_of_its_own_where_it_says_so() -> None:
-    schedule = Schedule(Conditions(loss=1.0, delay=0.2), (Link("ann", "bob", {"loss": 0.0}),))
+    schedule = Schedule(Conditions(loss=1.0, delay=0.2), (LinkConditions("ann", "bob", {"loss": 0.0}),))
     made = Router(3, seed=1)
     made.change(medium(schedule, NAMES))
     made.take(0, 1, b"there", 0.0)
@@ -79,7 +79,7 @@ def test_nothing_crosses_a_partition_but_what_is_under_way() -> None:
     whole = medium(Schedule(Conditions(delay=0.1)), NAMES)
     made.change(whole)
     made.take(0, 2, b"before", 0.0)
-    made.change(parted(whole, [["ann", "bob"], ["cem"]], NAMES))
+    made.change(partition(whole, [["ann", "bob"], ["cem"]], NAMES))
     made.take(0, 2, b"across", 0.0)
     made.take(0, 1, b"within", 0.0)
     assert made.due(1.0) == [(2, b"before"), (1, b"within")]
@@ -89,7 +89,7 @@ def test_nothing_crosses_a_partition_but_what_is_under_way() -> None:
 
 
 def test_who_is_in_no_group_is_alone() -> None:
-    parts = parted(Medium(), [["bob"]], NAMES)
+    parts = partition(Medium(), [["bob"]], NAMES)
     pairs = [(i, j) for i in range(3) for j in range(3) if not parts.cut(i, j)]
     assert pairs == [(0, 0), (1, 1), (2, 2)]
 
@@ -107,7 +107,7 @@ def test_the_relay_knows_senders_by_their_ports() -> None:
     for each in robots:
         each.bind((LOOPBACK, 0))
         each.settimeout(5)
-    relay = Relay([each.getsockname()[1] for each in robots], 1, parted(Medium(), [["ann", "bob"], ["cem"]], NAMES))
+    relay = Relay([each.getsockname()[1] for each in robots], 1, partition(Medium(), [["ann", "bob"], ["cem"]], NAMES))
     try:
         stranger.sendto(b"nobody", (LOOPBACK, relay.ports[1]))
         robots[2].sendto(b"cut", (LOOPBACK, relay.ports[1]))

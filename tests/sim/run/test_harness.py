@@ -21,7 +21,7 @@ from targets.sim import harness
 from targets.sim.base import folder
 from targets.sim.base.scenario import load
 from targets.sim.run import run
-from targets.sim.run.stage import Stage
+from targets.sim.run.scene import SimulationScene
 from targets.sim.trace import files as trace
 from targets.sim.trace.files import read
 from tests.sim.run.fake_fleet import Telling, bundle, enlist, wait_for_a_round
@@ -146,9 +146,9 @@ def test_a_lidar_is_for_robots_that_have_a_setting_for_one(tmp_path: Path) -> No
     found = json.loads((root / "scenario.json").read_text())
     found["robots"][1]["settings"]["scans"] = ""
     (root / "scenario.json").write_text(json.dumps(found))
-    stage = Stage(load(root), 1, bytes(32))
-    without, with_ = (actor.overrides for actor in stage.actors)
-    stage.close()
+    scene = SimulationScene(load(root), 1, bytes(32))
+    without, with_ = (actor.overrides for actor in scene.actors)
+    scene.close()
     assert "scans" not in without and with_["scans"].startswith("udp:127.0.0.1:")
 
 
@@ -179,10 +179,10 @@ def test_an_agent_that_dies_before_round_1_ends_the_run_at_once(tmp_path: Path) 
 def test_an_agent_that_will_not_rest_is_killed_and_fails_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "REST_WITHIN", 0.5)
+    monkeypatch.setattr(run, "STOP_WITHIN", 0.5)
     root, out = bundle(tmp_path / "sim", ["good", "stubborn"]), tmp_path / "out"
     assert sim(root, out) == 3
-    assert "did not come to rest" in summary(out)["why"]
+    assert "did not stop in time" in summary(out)["why"]
     assert no_process_left(root)
 
 
@@ -236,7 +236,7 @@ def test_a_note_left_in_a_runs_folder_saves_it(tmp_path: Path) -> None:
     with folder.RunFolder(tmp_path / "out") as path:
         (path / "summary.json").write_text("{}")
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    with pytest.raises(folder.Foreign, match=r"notes\.txt"), folder.RunFolder(tmp_path / "out"):
+    with pytest.raises(folder.ForeignFolder, match=r"notes\.txt"), folder.RunFolder(tmp_path / "out"):
         pass
     assert (tmp_path / "out" / "summary.json").exists()
 
@@ -247,7 +247,7 @@ def test_a_new_run_begins_by_removing_the_old_ones_results(tmp_path: Path) -> No
         (path / "plots").mkdir()
     with folder.RunFolder(tmp_path / "out") as path:
         assert [p.name for p in path.iterdir()] == [folder.MARKER]
-        with pytest.raises(folder.Foreign, match="another run"), folder.RunFolder(tmp_path / "out"):
+        with pytest.raises(folder.ForeignFolder, match="another run"), folder.RunFolder(tmp_path / "out"):
             pass
 
 
@@ -278,9 +278,9 @@ def test_devices_get_seeds_of_their_own_that_repeat(tmp_path: Path) -> None:
     scenario = load(bundle(tmp_path / "sim", ["good", "good"]))
 
     def seeds(seed: int) -> list[int]:
-        stage = Stage(scenario, seed, bytes(32))
-        found = [actor.device.context.seed for actor in stage.actors if isinstance(actor.device, Telling)]
-        stage.close()
+        scene = SimulationScene(scenario, seed, bytes(32))
+        found = [actor.device.context.seed for actor in scene.actors if isinstance(actor.device, Telling)]
+        scene.close()
         return found
 
     assert seeds(1) == seeds(1) != seeds(2)

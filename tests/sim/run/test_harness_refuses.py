@@ -25,8 +25,8 @@ def device() -> None:
     [
         (["--live", "99999"], "99999 is no port"), (["--live", "x"], "x is no port"),
         (["--lockstep", "--pace", "0"], "0 is no pace; give times real time"),
-        (["--pace", "2"], "--pace is for --lockstep"),
-        (["--duration", "-3"], "-3 is no time to run for; give seconds"),
+        (["--pace", "2"], "--pace needs --lockstep"),
+        (["--duration", "-3"], "-3 is no duration; give seconds"),
     ],
 )  # fmt: skip
 def test_wrong_calls_are_told_and_cost_nothing(
@@ -42,9 +42,9 @@ def test_wrong_calls_are_told_and_cost_nothing(
     [
         (([1.5, -1.0, -0.1], [3.0, 1.0, 1.0]), "r1 starts at (2, 0, 0), inside obstacle 0"),
         (([2.17, -1.0, 0.0], [3.0, 1.0, 1.0]), "r1 starts in contact with obstacle 0"),
-        (([1.5, -1.0, 0.0], [1.5, 1.0, 1.0]), "obstacle 0 is none"),
-        (([1.5, -1.0, 0.0], [math.inf, 1.0, 1.0]), "obstacle 0 is none"),
-        (([1.5, -1.0], [3.0, 1.0]), "obstacle 0 is none"),
+        (([1.5, -1.0, 0.0], [1.5, 1.0, 1.0]), "obstacle 0 is not a valid solid"),
+        (([1.5, -1.0, 0.0], [math.inf, 1.0, 1.0]), "obstacle 0 is not a valid solid"),
+        (([1.5, -1.0], [3.0, 1.0]), "obstacle 0 is not a valid solid"),
     ],
 )
 def test_an_obstacle_that_cannot_be_is_refused_at_once(
@@ -121,7 +121,7 @@ def test_a_robot_that_cannot_be_simulated_is_refused(tmp_path: Path, field: str,
     [
         ([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0]], "r1 starts at (20, 0, 0), outside the geofence"),
         ([[0.0, 0.0, 0.0], [1.0, 0.0, -0.6]], "outside the geofence"),
-        ([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]], "r1 starts where r0 does, at (1, 2, 0)"),
+        ([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]], "r1 starts at the same place as r0, (1, 2, 0)"),
         ([[1.0, 2.0, 0.0], [1.35, 2.0, 0.0]], "r1 starts in contact with r0"),
     ],
 )
@@ -137,7 +137,7 @@ def test_a_duration_is_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     with pytest.raises(SystemExit) as left:
         sim(bundle(tmp_path / "sim", ["good"]), tmp_path / "out", f"--duration={text}")
     assert left.value.code == 2
-    assert f"{text} is no time to run for; give seconds, more than 0" in capsys.readouterr().err
+    assert f"{text} is no duration; give seconds, greater than 0" in capsys.readouterr().err
 
 
 def test_settings_are_laid_over_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,7 +58,7 @@ def test_an_external_autopilots_clock_loses_nothing(
 
 def test_late_steps_are_told_of_all_the_run_and_of_the_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As processes that start and end take the processor away from the world."""
-    step, rest = Run._step, Run._rest
+    step, rest = Run._step, Run._stop_safely
     held_up: list[float] = []
 
     def slow_step(run: Run, at: float) -> None:
@@ -72,7 +72,7 @@ def test_late_steps_are_told_of_all_the_run_and_of_the_mission(tmp_path: Path, m
         rest(run, ended)
 
     monkeypatch.setattr(Run, "_step", slow_step)
-    monkeypatch.setattr(Run, "_rest", slow_rest)
+    monkeypatch.setattr(Run, "_stop_safely", slow_rest)
     enlist()
     root, out = bundle(tmp_path / "sim", ["good"]), tmp_path / "out"
     assert sim(root, out) == 0

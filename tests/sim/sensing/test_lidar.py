@@ -19,8 +19,8 @@ from targets.sim.base.bodies import DeviceContext, Vector
 from targets.sim.base.scenario import Lidar, Robot, Scenario, Start
 from targets.sim.physics.car import SimulatedCar
 from targets.sim.physics.quadrotor import SimulatedQuadrotor
-from targets.sim.physics.world import STEP, World
-from targets.sim.run.stage import Stage
+from targets.sim.physics.world import STEP, SimulatedWorld
+from targets.sim.run.scene import SimulationScene
 from targets.sim.sensing.lidar import SimulatedLidar
 from targets.sim.sensing.station import SimulatedFeed
 from tests.car.platform.world import OwnTime
@@ -45,68 +45,70 @@ def to_wall(x: float, y: float, angle: float) -> float:
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    made = World()
+def world() -> Iterator[SimulatedWorld]:
+    made = SimulatedWorld()
     yield made
     made.close()
 
 
-def lidar(world: World, body: SimulatedCar | SimulatedQuadrotor, noise: float = 0.0, seed: int = 7) -> SimulatedLidar:
+def lidar(
+    world: SimulatedWorld, body: SimulatedCar | SimulatedQuadrotor, noise: float = 0.0, seed: int = 7
+) -> SimulatedLidar:
     context = DeviceContext("alice", {}, {"position_noise": noise}, (47.0, 8.0, 400.0), seed, KEY)
     return SimulatedLidar(world, body, context)
 
 
-def settle(world: World) -> None:
+def settle(world: SimulatedWorld) -> None:
     for _ in range(60):
         world.step()
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.0, -2.8])
-def test_it_sees_the_walls_to_a_millimetre_and_never_itself(world: World, yaw: float) -> None:
+def test_it_sees_the_walls_to_a_millimetre_and_never_itself(world: SimulatedWorld, yaw: float) -> None:
     for lo, hi in WALLS:
         world.obstacle(Block(Point(*lo), Point(*hi)))
     car = SimulatedCar(world, (0.4, -0.3, 0.0), yaw, 0.33, 0.4)
     settle(world)
     seeing = lidar(world, car)
-    (x, y, _), found = seeing.look()
+    (x, y, _), found = seeing.cast_rays()
     assert (x, y) == pytest.approx((0.4, -0.3), abs=1e-3)
     for i, range_ in enumerate(found):
         assert range_ == pytest.approx(to_wall(x, y, math.tau * i / RAYS), abs=1e-3)
     seeing.close()
 
 
-def test_it_sees_other_robots_but_not_the_floor_nor_what_is_lower_or_farther(world: World) -> None:
+def test_it_sees_other_robots_but_not_the_floor_nor_what_is_lower_or_farther(world: SimulatedWorld) -> None:
     world.obstacle(Block(Point(-3.0, -1.0, 0.0), Point(-2.0, 1.0, 0.05)))  # lower than the middle of a car
     world.obstacle(Block(Point(MAX_RANGE + 0.01, -1.0, 0.0), Point(9.0, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     quad = SimulatedQuadrotor(world, (0.0, 2.0, 0.0), 0.0)
     settle(world)
     from_car, from_quad = lidar(world, car), lidar(world, quad)
-    _, found = from_car.look()
+    _, found = from_car.cast_rays()
     north = RAYS // 4
     assert found[north] == pytest.approx(2.0 - 0.18, abs=2e-3)
     assert {i for i, range_ in enumerate(found) if range_ is not None} == set(range(north - 2, north + 3))
-    assert from_quad.look()[1][3 * north] == pytest.approx(2.0 - 0.14, abs=2e-3)
+    assert from_quad.cast_rays()[1][3 * north] == pytest.approx(2.0 - 0.14, abs=2e-3)
     for each in (from_car, from_quad):
         each.close()
 
 
-def test_a_tilted_flyer_does_not_see_itself(world: World) -> None:
+def test_a_tilted_flyer_does_not_see_itself(world: SimulatedWorld) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 2.0), 0.4)
     quad.motors(True)
     quad.accelerate((6.0, 3.0, 0.0), 0.0)
     settle(world)
     assert quad.motion().up[2] < 0.9
     seeing = lidar(world, quad)
-    assert seeing.look()[1] == [None] * RAYS
+    assert seeing.cast_rays()[1] == [None] * RAYS
     seeing.close()
 
 
-def test_looking_moves_nothing(world: World) -> None:
+def test_looking_moves_nothing(world: SimulatedWorld) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     settle(world)
     seeing, before = lidar(world, car), car.state()
-    seeing.look()
+    seeing.cast_rays()
     assert car.state() == before
     settle(world)
     assert world.grounded(car.rigid)
@@ -116,7 +118,7 @@ def test_looking_moves_nothing(world: World) -> None:
 
 def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     """What a receiver makes of the turns of two seconds, each seen once."""
-    world = World()
+    world = SimulatedWorld()
     world.obstacle(Block(Point(2.0, -1.0, 0.0), Point(2.5, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     settle(world)
@@ -135,7 +137,7 @@ def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     return found
 
 
-def first_turn(world: World, seed: int) -> int:
+def first_turn(world: SimulatedWorld, seed: int) -> int:
     """The step in which a lidar looks first."""
     seeing = lidar(world, SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4), seed=seed)
     sent: list[bytes] = []
@@ -148,7 +150,7 @@ def first_turn(world: World, seed: int) -> int:
     return steps
 
 
-def test_robots_do_not_all_look_in_the_same_step(world: World) -> None:
+def test_robots_do_not_all_look_in_the_same_step(world: SimulatedWorld) -> None:
     found = [first_turn(world, seed) for seed in range(6)]
     assert len(set(found)) > 3 and max(found) <= PERIOD / STEP + 1
 
@@ -170,18 +172,18 @@ def room() -> Scenario:
     robot = Robot("alice", 0, "car", "agents/alice", "car", "drive", start, settings)
     fence = schema.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
     walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
-    place = scenario.Origin(47.0, 8.0, 400.0)
+    place = scenario.GeodeticOrigin(47.0, 8.0, 400.0)
     return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, harness={"position_noise": 0.003})
 
 
 def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
-    stage = Stage(room(), 5, KEY)
+    scene = SimulationScene(room(), 5, KEY)
     fence = Box(Point(-4.0, -4.0, -1.0), Point(4.0, 4.0, 2.0))
     peers = (Peer("alice", "127.0.0.1", 47101),)
-    body = stage.actors[0].overrides
-    feed = stage.actors[0].sensors[-1]
+    body = scene.actors[0].overrides
+    feed = scene.actors[0].sensors[-1]
     assert isinstance(feed, SimulatedFeed)
-    feed._clock = lambda: stage.world.time  # as the car's below
+    feed._clock = lambda: scene.world.time  # as the car's below
     car = Car(
         Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY, OwnTime(), Inside
     )
@@ -191,7 +193,7 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
         car.start(0.0)
         for tick in range(round(5.0 / STEP)):
             now = tick * STEP
-            truth[tick] = stage.step(now)[0].position
+            truth[tick] = scene.step(now)[0].position
             if tick % 12 == 0:
                 car.poll(now)
                 values = car.sense(now).values
@@ -202,10 +204,10 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
                 assert len(values["MotionWithScan.pscan"]) in (2, 3)
                 car.command({"MotionWithScan.path": (Point(0.0, -0.5, 0.0), Point(1.5, 0.0, 0.0))}, now)
         assert values["MotionWithScan.position"].x > 0.5, "it drives"
-        assert stage.watch.bumps == {}
+        assert scene.watch.bumps == {}
     finally:
         car.close()
-        stage.close()
+        scene.close()
     assert len(seen) == pytest.approx(25, abs=2)
     for place, (tick, scan) in seen.items():
         # It was measured at most a poll before it came, while the car went at most 5 cm.

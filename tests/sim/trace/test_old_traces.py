@@ -104,7 +104,7 @@ def test_agents_follow_an_old_counterexample(old: Path) -> None:
     new = trace.with_name("trace.koord-trace-2")
     assert read_counterexample(trace) == read_counterexample(new)._replace(path=trace)
     done = follow(old / "counterexample/app.koord", fleet(old, 2), trace)
-    assert done.status == 3 and "as the trace says" in done.said
+    assert done.status == 3 and "as in the trace" in done.said
     assert formats(done.folder / "trace.jsonl") == FORMAT
     assert main(["report", str(trace), "-o", str(old / "page.html")]) == 0
 

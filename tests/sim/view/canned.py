@@ -10,7 +10,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import FORMAT, End, Header, Mark, RobotName
 from targets.sim.run.run import Outcome
-from targets.sim.run.stage import Closest
+from targets.sim.run.scene import Closest
 
 Place = tuple[float, float, float]
 

@@ -22,7 +22,7 @@ from koordgen.cli import main
 from koordgen.runtime.trace.schema import Box, End, Marker, MarkerList, Shared, Violation, World
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
-from targets.sim.base.folder import MARKER, Foreign, RunFolder
+from targets.sim.base.folder import MARKER, ForeignFolder, RunFolder
 from targets.sim.trace import files as trace
 from targets.sim.view.data import tables
 from targets.sim.view.data.colours import STATES
@@ -286,7 +286,7 @@ def test_a_note_beside_exported_tables_saves_the_folder(tmp_path: Path) -> None:
         write(run / "trace.jsonl", HEAD, [*moving(STARTS, ENDS), *rounds()])
     assert main(["export", str(run), "--to", "csv"]) == 0
     (run / "csv" / "notes.txt").write_text("mine")
-    with pytest.raises(Foreign, match=r"csv/notes\.txt"), RunFolder(run):
+    with pytest.raises(ForeignFolder, match=r"csv/notes\.txt"), RunFolder(run):
         pass
     assert (run / "csv" / "poses.csv").exists()
 

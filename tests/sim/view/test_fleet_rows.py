@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.runtime.trace.schema import Header
 from targets.sim.view.web.dashboard import first_header
-from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
+from targets.sim.view.web.fleet_rows import FRESH, FleetRows, LatestRows, Report, completed, read_report
 
 FLEET = first_header([("alice", "quad"), ("bert", "car")], {"delta": 0.1})
 
@@ -44,7 +44,7 @@ def test_lines_that_came_too_fast_are_counted() -> None:
     fleet.take(0, report(lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
     fleet.take(0, report(lines=[[41, 0.0, 0, "info", "z"]]), "", 2.0)
     lines = [row[3] for row in fleet.taken(2.0)["logs"]]
-    assert lines == ["a", "39 lines before this one came too fast to be shown here", "z"]
+    assert lines == ["a", "39 lines before this one arrived too fast to be shown", "z"]
 
 
 def test_an_agent_that_began_anew_counts_from_the_beginning() -> None:
@@ -144,7 +144,7 @@ def test_what_silent_robots_told_survives_a_new_header() -> None:
 
 
 def test_a_dashboard_that_is_open_for_days_keeps_only_the_latest_rows() -> None:
-    latest = Latest(FLEET)
+    latest = LatestRows(FLEET)
     for k in range(20_000):
         latest.extend({"poses": [[k % 2, k, 0, 0, 0, 0]], "marks": [[k, "x", "", [], ""]], "near": [[k, 1, 0, 1]]})
     whole = latest.whole()

@@ -21,8 +21,8 @@ from koordgen.runtime.trace.schema import Init, Round, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import MARKER
 from targets.sim.view.web import live, serve
-from targets.sim.view.web.live import Live, Paced
-from targets.sim.view.web.serve import MOST_CLIENTS, MOST_WAITING, Hub
+from targets.sim.view.web.live import Live, PaceLimit
+from targets.sim.view.web.serve import MOST_CLIENTS, MOST_WAITING, EventHub
 from tests.sim.lockstep.lockstep import built, digest, ran
 from tests.sim.run.fake_fleet import bundle
 from tests.sim.view.canned import header
@@ -44,7 +44,7 @@ def pose(t: float) -> dict[str, Any]:
 
 
 def test_who_comes_late_gets_all_of_it_and_then_what_is_new() -> None:
-    hub = Hub(HEAD)
+    hub = EventHub(HEAD)
     hub.rows(pose(1.0))
     client = hub.join()
     hub.rows(pose(2.0))
@@ -54,7 +54,7 @@ def test_who_comes_late_gets_all_of_it_and_then_what_is_new() -> None:
 
 
 def test_what_was_before_round_1_does_not_count() -> None:
-    hub = Hub(HEAD)
+    hub = EventHub(HEAD)
     hub.rows(pose(1.0))
     client = hub.join()
     hub.begin()
@@ -64,7 +64,7 @@ def test_what_was_before_round_1_does_not_count() -> None:
 
 
 def test_a_client_that_reads_nothing_waits_with_few_events_and_then_misses_nothing() -> None:
-    hub = Hub(HEAD)
+    hub = EventHub(HEAD)
     slow = hub.join()
     for k in range(10 * MOST_WAITING):
         hub.rows(pose(k))
@@ -76,7 +76,7 @@ def test_a_client_that_reads_nothing_waits_with_few_events_and_then_misses_nothi
 
 
 def test_there_is_a_limit_to_clients() -> None:
-    hub = Hub(HEAD)
+    hub = EventHub(HEAD)
     first = hub.join()
     assert first is not None
     assert all(hub.join() for _ in range(MOST_CLIENTS - 1)) and hub.join() is None
@@ -96,7 +96,7 @@ def running(zero: float | None = None) -> Any:
     agents = [SimpleNamespace(robot=r, phase=SimpleNamespace(phase="running", detail="")) for r in HEAD.robots]
     run = SimpleNamespace(
         conduct=SimpleNamespace(now=lambda: 100.0, agents=agents), zero=zero, marks=[],
-        stage=SimpleNamespace(watch=SimpleNamespace(too_close={}, collisions={}, bumps={}, min_separation=0.3)),
+        scene=SimpleNamespace(watch=SimpleNamespace(too_close={}, collisions={}, bumps={}, min_separation=0.3)),
     )  # fmt: skip
     run.t = lambda at: None if run.zero is None else at - run.zero
     return run
@@ -151,7 +151,7 @@ def test_all_that_happened_since_round_1_is_told_with_times_since_then(
     for k in range(12):
         view.step(103.0 + k / 240, STATES)
     run.marks.append(Violation(103.5, "property", ("bert",), "x"))
-    run.stage.watch.bumps[0, 4] = 103.2
+    run.scene.watch.bumps[0, 4] = 103.2
     view.end(104.0)
     view.close("bye")
     told = [json.loads(line) for line in out.read_bytes().splitlines()]
@@ -170,7 +170,7 @@ def test_all_that_happened_since_round_1_is_told_with_times_since_then(
 
 
 def test_a_paced_run_waits_for_the_host() -> None:
-    paced = Paced(4.0)
+    paced = PaceLimit(4.0)
     paced.launched(running())
     begun = time.monotonic()
     for k in range(48):

@@ -20,10 +20,10 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.folder import GIVEN
 from targets.sim.base.schedule import read
 from targets.sim.run import faults
-from targets.sim.view.web.control import FOLLOWING, REAL_TIME, Control, Given
+from targets.sim.view.web.control import FOLLOWING, REAL_TIME, Control, ManualFaults
 from targets.sim.view.web.guard import HEADER, MOST_BYTES
-from targets.sim.view.web.live import Paced
-from targets.sim.view.web.serve import Hub, Server
+from targets.sim.view.web.live import PaceLimit
+from targets.sim.view.web.serve import EventHub, Server
 from tests.sim.lockstep.lockstep import built, digest, ran, summary
 from tests.sim.run.test_faults import ROBOTS, ZERO, FakeRun
 from tests.sim.view.browser import CHROMIUM, Browser
@@ -41,7 +41,7 @@ class Served:
     def __init__(self, offer: dict[str, Any] | None) -> None:
         self.obeyed: list[dict[str, Any]] = []
         self.takes = True
-        self.server = Server(0, Hub(HEAD), offer, self._obey)
+        self.server = Server(0, EventHub(HEAD), offer, self._obey)
         self.port = self.server.server_address[1]
         threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
 
@@ -151,10 +151,10 @@ class Controlled(FakeRun):
             for name in ROBOTS
         ]
         schedule, _ = read(scenario or {}, ROBOTS)
-        given = None if follows else Given(faults.Faults(schedule, open=True), scenario, tmp_path)
+        given = None if follows else ManualFaults(faults.Faults(schedule, open=True), scenario, tmp_path)
         page: Any = self.page
         run: Any = self
-        self.control = Control(page, given, Paced(None) if lockstep else None)
+        self.control = Control(page, given, PaceLimit(None) if lockstep else None)
         self.control.launched(run)
         self.zero = self.now = ZERO
 
@@ -193,7 +193,7 @@ def test_faults_by_hand_happen_now_and_are_a_scenario(tmp_path: Path) -> None:
     [
         ({"crash": "zoe"}, "no robot 'zoe' in this fleet (there are: ann, bob, cem)"),
         ({"crush": "ann"}, "did you mean 'crash'"),
-        ({"crash": "ann", "at": 3}, "without `at`: it happens now"),
+        ({"crash": "ann", "at": 3}, "without `at`, because it begins now"),
         ({"continue": "ann"}, "ann is not frozen"),
         ({"restore": ["ann", "bob"]}, "the link between ann and bob is not cut"),
         ({"obstacle": {"number": 4, "by": [1, 0, 0]}}, "there is no obstacle 4 (they are numbered 0 to 0)"),
@@ -216,7 +216,7 @@ def test_a_fault_that_cannot_be_is_told_and_changes_nothing(tmp_path: Path, even
 def test_no_faults_before_round_1_after_the_mission_or_along_a_counterexample(tmp_path: Path) -> None:
     run = Controlled(tmp_path)
     run.zero = None
-    assert run.gives(crash="ann") == [("faults can be given once round 1 has begun", True)]
+    assert run.gives(crash="ann") == [("faults can be injected only after round 1 has begun", True)]
     run.zero = ZERO
     run.conduct.agents[0].told = True
     assert run.gives(crash="ann") == [("the mission is over", True)]

@@ -155,7 +155,7 @@ def test_a_trace_alone_has_a_report_too(canned: Path) -> None:
     report.write(canned.parent / "page.html", canned)
     text = (canned.parent / "page.html").read_text()
     assert "Violated" in text and "at 0.70 s bert: fault" in text
-    assert "To do it again" not in text and "real-time factor" not in text
+    assert "Reproduce this run" not in text and "real-time factor" not in text
     assert "at the poses of the trace" in text and "physics step" not in text
 
 

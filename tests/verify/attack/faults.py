@@ -1,4 +1,4 @@
-"""Programs whose invariants a wrong prover once called PROVED, or would; and a clock that counts work, not seconds."""
+"""Programs on which a wrong prover said, or would say, PROVED; and a clock that counts work instead of seconds."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Collection
 from typing import Any
 
 from koordgen.lang.ir.decl import Program
-from koordgen.verify.attack.attack import Report, attack
+from koordgen.verify.attack.attack import AttackReport, attack
 from koordgen.verify.attack.judge import WELL_DEFINED
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 FAULTS = {
     "a value written before a loop": """
@@ -60,13 +60,13 @@ def every_name(program: Program) -> list[str]:
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"]]
 
 
-def attacked(text: str, proved: Collection[str] | None = None, **given: Any) -> Report:
+def attacked(text: str, proved: Collection[str] | None = None, **given: Any) -> AttackReport:
     """The attack on a program within the default budget, in work; all is PROVED unless `proved` says what is."""
     program = checked(text)
     names = every_name(program) if proved is None else proved
     return attack(program, names, **{"clock": ticks(), **given})
 
 
-def broken(report: Report) -> str:
+def broken(report: AttackReport) -> str:
     """The invariant that was contradicted; empty where none was."""
     return report.contradiction.breach.invariant if report.contradiction is not None else ""

@@ -1,4 +1,4 @@
-"""The attack: what it finds within its budget, what it never says of right programs, what it counts."""
+"""Attack: contradictions found within its budget, no false alarm on correct programs, counts of states."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Followed, Judge
+from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, ReplayedTrial, TrialJudge
 from koordgen.verify.prove.smt import term
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.verify.attack.faults import FAULTS, attacked, broken, ticks
 from tests.verify.prove.battery.battery import BATTERY
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
 
@@ -67,7 +67,7 @@ def test_what_is_too_large_for_the_solver_is_attacked_without_it(
     found = attack(checked(text), proved, solver=solver, clock=ticks())
     assert found.contradiction is None
     assert found.states
-    assert any("cannot be written down" in reason for reason in found.reasons.values()), found.reasons
+    assert any("cannot be encoded" in reason for reason in found.reasons.values()), found.reasons
 
 
 STALE = """
@@ -207,7 +207,7 @@ invariant Q: forall i in ID: a[i] == 0
 """
     found = attacked(text)
     assert found.contradiction is None
-    assert found.of("Go", "Q") == (0, "what the extern function half yields is not known")
+    assert found.of("Go", "Q") == (0, "the result of the extern function half is unknown")
     assert found.of(INIT, "Q")[0] > 0
 
 
@@ -295,8 +295,8 @@ def test_states_of_models_keep_first_values_of_what_no_model_tells(solver: Solve
 
 
 def test_what_the_semantics_does_not_repeat_is_an_error_of_the_attack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Judge, "follow", lambda judge, trial: Followed((trial.state,), None))
-    with pytest.raises(InternalError, match="it is none the second time"):
+    monkeypatch.setattr(TrialJudge, "replay", lambda judge, trial: ReplayedTrial((trial.state,), None))
+    with pytest.raises(InternalError, match="the second run shows no contradiction"):
         attacked(FAULTS["a value written before a loop"])
 
 

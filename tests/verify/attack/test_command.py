@@ -11,8 +11,8 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
-from koordgen.verify.prove.smt.solve import Answer, Outcome
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
+from koordgen.verify.prove.smt.solve import ObligationResult, SolverAnswer
 from tests.verify.attack.faults import FAULTS, ticks
 from tests.verify.prove.programs import COUNTER, STRONG
 
@@ -36,11 +36,11 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
 def forged(monkeypatch: pytest.MonkeyPatch) -> None:
     """A prover that says PROVED of everything."""
 
-    def forge(question: Question, solver: Any) -> list[Verdict]:
+    def forge(question: Question, solver: Any) -> list[InvariantVerdict]:
         found, said = prove(question, solver), []
         names = [v.invariant for v in found]
         for verdict in found:
-            outcomes = tuple([Outcome(o.obligation, Answer("unsat", 0.001)) for o in verdict.outcomes])
+            outcomes = tuple([ObligationResult(o.obligation, SolverAnswer("unsat", 0.001)) for o in verdict.outcomes])
             rests = tuple(
                 [name for name in names if name != verdict.invariant and verdict.invariant != "(well-defined)"]
             )
@@ -89,7 +89,7 @@ def test_obligations_that_were_not_attacked_are_named(folder: Path, capsys: pyte
     extern = "extern fun half(int x) -> int:\n  ensures: result >= 0\n"
     assert main(["prove", written(extern + text)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "not attacked Q-Go: what the extern function half yields is not known" in shown
+    assert "not attacked Q-Go: the result of the extern function half is unknown" in shown
 
 
 def test_each_number_of_robots_is_attacked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,9 +170,9 @@ def test_a_trial_that_contradicts_nothing_says_so(
 @pytest.mark.parametrize(
     ("change", "status", "said"),
     [
-        ({"state": None}, 1, "the state is no object"),
+        ({"state": None}, 1, "the state is not an object"),
         ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "shows nothing: "),
-        ({"proved": ["R"]}, 1, "is no name that can stand there"),
+        ({"proved": ["R"]}, 1, "is none of the possible names"),
     ],
 )
 def test_a_file_that_is_wrong_is_told_so(

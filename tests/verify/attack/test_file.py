@@ -1,4 +1,4 @@
-"""The file of a contradiction: it is read as it was written, and nothing else is read at all."""
+"""File of a contradiction: it is read as it was written, and anything else is rejected."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import pytest
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
-from koordgen.verify.attack.judge import Contradiction, Judge, Refused, Trial, Unusable
+from koordgen.verify.attack.file import MOST_BYTES, BadFile, read_trial, to_text
+from koordgen.verify.attack.judge import Contradiction, Trial, TrialJudge, TrialNotCovered, UnusableStep
 from tests.verify.attack.faults import every_name, ticks
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 HASH = "0123456789abcdef"
 RICH = """
@@ -67,9 +67,9 @@ def made() -> tuple[Program, Contradiction, str]:
     found = attack(program, every_name(program), robots=2, clock=ticks()).contradiction
     assert found is not None
     state, acts = found.trial
-    begun = Judge(exact(program), [], lambda *_: ()).follow(Trial(state, acts[:1])).states[1]
+    begun = TrialJudge(exact(program), [], lambda *_: ()).replay(Trial(state, acts[:1])).states[1]
     found = found._replace(trial=Trial(begun, acts[1:]))
-    return exact(program), found, written(found, ["Q", "(well-defined)"], HASH, "app.koord")
+    return exact(program), found, to_text(found, ["Q", "(well-defined)"], HASH, "app.koord")
 
 
 PROGRAM, FOUND, TEXT = made()
@@ -82,17 +82,17 @@ def changed(change: Callable[[Any], object]) -> bytes:
 
 
 def test_a_contradiction_is_read_as_it_was_written_and_contradicts_again() -> None:
-    given = read(TEXT.encode(), PROGRAM, HASH)
+    given = read_trial(TEXT.encode(), PROGRAM, HASH)
     assert given.trial == FOUND.trial
     assert (given.invariant, given.proved) == ("Q", ("(well-defined)", "Q"))
-    again = Judge(PROGRAM, given.proved, lambda *_: ()).follow(given.trial).contradiction
+    again = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
     assert again is not None and again.breach == FOUND.breach and again.after == FOUND.after
     assert again.after.robots[0].ports != {} and again.trial.acts[-1].answers, "the planner's answer stands in the file"
 
 
 def test_numbers_are_exact_texts() -> None:
     assert '"1/3"' in TEXT
-    state = read(TEXT.encode(), PROGRAM, HASH).trial.state
+    state = read_trial(TEXT.encode(), PROGRAM, HASH).trial.state
     assert state.robots[0].locals["third"] == Fraction(1, 3)
 
 
@@ -101,8 +101,8 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
     "another program": (lambda d: d.update(program="f" * 16), "another program"),
     "no program": (lambda d: d.pop("program"), "the file lacks"),
     "an unknown key": (lambda d: d.update(run="rm"), "the file has an unknown"),
-    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is no name that can stand there"),
-    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "is no name"),
+    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is none of the possible names"),
+    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "none of the possible names"),
     "nothing proved": (lambda d: d.update(proved=[]), "proved is no list"),
     "no robots": (lambda d: d["state"].update(robots=[]), "robots is no list of 1 to 4"),
     "too many robots": (lambda d: d["state"].update(robots=5 * d["state"]["robots"]), "robots is no list of 1 to 4"),
@@ -137,7 +137,7 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
 def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
     change, said = CHANGES[name]
     with pytest.raises(BadFile) as error:
-        read(changed(change), PROGRAM, HASH)
+        read_trial(changed(change), PROGRAM, HASH)
     assert said in str(error.value)
     assert error.value.help and len(str(error.value)) < 300
 
@@ -146,26 +146,26 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
     ("data", "said"),
     [
         (b"", "not JSON, or was cut short"),
-        (b"[]", "the file is no object"),
+        (b"[]", "the file is not an object"),
         (b"\xff\xfe", "not JSON"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"a": NaN}', "NaN is no number"),
-        (b'{"a": 1, "a": 1}', "a name stands twice"),
+        (b'{"a": 1, "a": 1}', "a name occurs twice"),
         (b'{"a": ' + b"9" * 5000 + b"}", "not JSON"),
-        (b" " * (MOST_BYTES + 1), "at most"),
+        (b" " * (MOST_BYTES + 1), "the limit is"),
     ],
 )
 def test_bytes_that_are_no_such_file(data: bytes, said: str) -> None:
     with pytest.raises(BadFile, match=said):
-        read(data, PROGRAM, HASH)
+        read_trial(data, PROGRAM, HASH)
 
 
 def followed(data: bytes) -> str:
     """What comes of a file, whatever it is."""
     try:
-        given = read(data, PROGRAM, HASH)
-        found = Judge(PROGRAM, given.proved, lambda *_: ()).follow(given.trial).contradiction
-    except (BadFile, Refused, Unusable) as error:
+        given = read_trial(data, PROGRAM, HASH)
+        found = TrialJudge(PROGRAM, given.proved, lambda *_: ()).replay(given.trial).contradiction
+    except (BadFile, TrialNotCovered, UnusableStep) as error:
         return type(error).__name__
     return "contradiction" if found is not None else "none"
 
@@ -181,13 +181,15 @@ def test_no_byte_that_is_changed_ends_in_anything_but_an_answer() -> None:
     for _ in range(600):
         place = random.randrange(len(data))
         said.add(followed(data[:place] + bytes([random.choice(b'019-/"[]{},:aQ\x00\xff')]) + data[place + 1 :]))
-    assert {"BadFile", "contradiction"} <= said <= {"BadFile", "Refused", "Unusable", "contradiction", "none"}
+    assert (
+        {"BadFile", "contradiction"} <= said <= {"BadFile", "TrialNotCovered", "UnusableStep", "contradiction", "none"}
+    )
 
 
 def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     text = RICH.replace("  PathPlanner planner\n", "  PathPlanner planner\n  assume planner(goal) == []\n")
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
-    given = read(TEXT.encode(), program, HASH)
-    with pytest.raises(Unusable, match=r"no answer of Motion\.planner is known"):
-        Judge(program, given.proved, lambda *_: ()).follow(given.trial)
+    given = read_trial(TEXT.encode(), program, HASH)
+    with pytest.raises(UnusableStep, match=r"no known answer of Motion\.planner"):
+        TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)

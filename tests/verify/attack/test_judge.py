@@ -1,4 +1,4 @@
-"""The judge: which faults contradict `(well-defined)`, and what it refuses to follow."""
+"""Judge of attacks: faults that contradict `(well-defined)`, and trials that it rejects."""
 
 from __future__ import annotations
 
@@ -9,10 +9,20 @@ import pytest
 from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, run_init
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Act, Followed, Judge, Refused, Trial, Unusable
-from koordgen.verify.prove.report.model import made_state
+from koordgen.verify.attack.judge import (
+    ENVIRONMENT,
+    INIT,
+    WELL_DEFINED,
+    Act,
+    ReplayedTrial,
+    Trial,
+    TrialJudge,
+    TrialNotCovered,
+    UnusableStep,
+)
+from koordgen.verify.prove.report.model import exact_state
 from tests.verify.attack.faults import attacked, broken
-from tests.verify.prove.told import checked
+from tests.verify.prove.proving import checked
 
 # What an event does that has no value, each as a statement; `(well-defined)` promises that none of them happens.
 PROMISED = {
@@ -128,29 +138,29 @@ invariant Q: forall i in ID: a[i] >= 1
 """
 
 
-def judge() -> Judge:
-    return Judge(exact(checked(COUNTER)), ["Q"], lambda *_: ())
+def judge() -> TrialJudge:
+    return TrialJudge(exact(checked(COUNTER)), ["Q"], lambda *_: ())
 
 
 def begun(a: int = 1, level: int = 0) -> State:
     """One robot at a round's start."""
     program = exact(checked(COUNTER))
-    state = run_init(program, made_state(initial(program, 1)))[0]
+    state = run_init(program, exact_state(initial(program, 1)))[0]
     robot = state.robots[0]
     return state._replace(robots=(robot._replace(locals={"a": a}, ports={"Dev.level": level}),))
 
 
 def launched(level: int = 0) -> State:
     program = exact(checked(COUNTER))
-    return made_state(initial(program, 1, [{"Dev.level": level}]))
+    return exact_state(initial(program, 1, [{"Dev.level": level}]))
 
 
 def moved(level: int) -> Act:
     return Act(ENVIRONMENT, None, ({"Dev.level": level},))
 
 
-def followed(state: State, *acts: Act) -> Followed:
-    return judge().follow(Trial(state, acts))
+def followed(state: State, *acts: Act) -> ReplayedTrial:
+    return judge().replay(Trial(state, acts))
 
 
 def test_a_trial_is_run_step_by_step() -> None:
@@ -168,27 +178,27 @@ def test_a_trial_is_run_step_by_step() -> None:
 @pytest.mark.parametrize(
     ("state", "acts", "said"),
     [
-        (begun(0), [Act("Up", 0)], "Q does not hold in its state"),
-        (launched(-1), [Act(INIT)], "`initially` does not hold"),
-        (launched(), [Act("Up", 0)], "`init` comes first"),
-        (begun(1), [Act(INIT)], "`init` comes first"),
-        (begun(1), [Act("Down", 0)], "robot 0 may not run Down there"),
+        (begun(0), [Act("Up", 0)], "its first state violates Q"),
+        (launched(-1), [Act(INIT)], "violates a formula of `initially`"),
+        (launched(), [Act("Up", 0)], "`init` must be the first step"),
+        (begun(1), [Act(INIT)], "`init` must be the first step"),
+        (begun(1), [Act("Down", 0)], "robot 0 may not run Down at its step"),
         (begun(1), [Act("Up", 0), Act("Up", 0)], "two events in one round"),
         (begun(3), [Act("Down", 0), moved(1)], "goes on after a step"),
     ],
 )
 def test_a_trial_that_no_verdict_speaks_of_is_refused(state: State, acts: list[Act], said: str) -> None:
-    with pytest.raises(Refused, match=said.replace("(", r"\(")):
+    with pytest.raises(TrialNotCovered, match=said.replace("(", r"\(")):
         followed(state, *acts)
 
 
 def test_a_move_that_the_assumptions_do_not_allow_shows_nothing() -> None:
-    with pytest.raises(Unusable, match="do not allow"):
+    with pytest.raises(UnusableStep, match="do not allow"):
         followed(begun(1, level=5), moved(4))
 
 
 def test_a_stopped_robot_runs_nothing() -> None:
     state = begun(1)
     stopped: Any = state.robots[0]._replace(stopped=True)
-    with pytest.raises(Refused, match="may not run"):
+    with pytest.raises(TrialNotCovered, match="may not run"):
         followed(state._replace(robots=(stopped,)), Act("Up", 0))

@@ -1,4 +1,4 @@
-"""Fleets on a simulated clock whose robots' own traces are audited, with the simulator's Watcher beside them."""
+"""Fleets on a simulated clock whose robots' own traces are audited, with the simulator's Watcher for comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an audit of the robots' own traces says, beside the simulator's verdicts on the truth."""
+"""Audits of the robots' own traces, compared with the simulator's verdicts on the true state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`koordgen audit`: a whole fleet's verdicts by its robots' traces, what is not known, what a proof rests on."""
+"""`koordgen audit`: verdicts on a whole fleet by its robots' traces, unknown values, assumptions of proofs."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_loop_invariants_are_told_by_what_robots_say_of_their_events(
     edit(home / "cleo.jsonl", lambda record: {**record, "violated": [line + 1]} if "violated" in record else record)
     assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 3
     said = capsys.readouterr().err
-    assert f"what loop invariants were false is [{line + 1}] in the trace, [{line}] by the program" in said
+    assert f"the list of false loop invariants is [{line + 1}] in the trace, [{line}] by the program" in said
 
 
 def jumped(folder: Path, text: str) -> Path:
@@ -197,13 +197,11 @@ def test_without_a_broken_assumption_it_is_the_tools_mistake_where_it_is_proved(
 ) -> None:
     home = jumped(tmp_path, BOXED.replace("position' in Rect(position, target)", "position' == position'"))
     found = by_name(audited(home)[1])["Fence"]
-    assert (
-        found["proof"]["broke"] == [] and "no assumption that its proof rests on broke before" in found["proof"]["says"]
-    )
-    assert "Where `koordgen prove` says PROVED of Fence" in found["proof"]["says"]
+    assert found["proof"]["broke"] == [] and "no assumption of its proof broke before" in found["proof"]["says"]
+    assert "If `koordgen prove` says PROVED of Fence" in found["proof"]["says"]
     told = by_name(audited(home, "--prove")[1])["Fence"]["proof"]
     assert told["verdict"] == "NOT INDUCTIVE" or told["verdict"] == "FALSIFIED"
-    assert "no proof says that it holds" in told["says"]
+    assert "so no proof covers it" in told["says"]
 
 
 def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
@@ -213,7 +211,7 @@ def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
     found = by_name(audited(saved(tmp_path, fleet, WHOLE))[1])
     assert (
         found["Sum"]["verdict"] == "violated"
-        and "by then bert had been out of the model" in found["Sum"]["proof"]["says"]
+        and "by then bert had been outside of the model" in found["Sum"]["proof"]["says"]
     )
 
 
@@ -279,10 +277,13 @@ def test_what_monitors_said_is_compared(tmp_path: Path) -> None:
         file.write(monitor("invariant", "Near", near, 1, "held") + monitor("invariant", "Near", near, 8, "violated", 3))
         file.write(monitor("invariant", "Near", near, 9, "held"))
     (note,) = audited(home)[1]["notes"]
-    assert note.startswith(f"bert said in round 8 that invariant Near (line {near}) is violated") and "it held" in note
+    assert note.startswith(f"bert reported in round 8 that invariant Near (line {near}) is violated")
+    assert "it held" in note
     edit(home / "alice.jsonl", lambda r: None if r["kind"] == "monitor" and r["outcome"] == "violated" else r)
     notes = audited(home)[1]["notes"]
-    assert any(n.startswith(f"alice said that invariant Sum (line {line}) held in rounds {since} to") for n in notes)
+    assert any(
+        n.startswith(f"alice reported that invariant Sum (line {line}) held in rounds {since} to") for n in notes
+    )
 
 
 def test_clocks_that_do_not_go_with_the_rounds_are_noted(home: Path) -> None:
@@ -336,7 +337,10 @@ def test_contracts_and_functions_of_the_users_own_are_judged(
     (line,) = [k for k, text in enumerate(CONTRACT.splitlines(), 1) if "ensures" in text]
     requires, ensures = (p for p in document["properties"] if p["of"] == "contract")
     assert status == 3 and (requires["verdict"], ensures["verdict"], ensures["line"]) == ("held", "violated", line)
-    assert "against what it ensures" in ensures["first"]["read"][0] and found["well-defined"]["verdict"] == "held"
+    assert (
+        "which breaks its postcondition (line" in ensures["first"]["read"][0]
+        and found["well-defined"]["verdict"] == "held"
+    )
     assert found["Small"]["verdict"] == "held" and found["More"]["verdict"] == "no value", "it asks where no result is"
     (folder / "source/app_functions.py").unlink()
     assert main(["audit", str(folder / "robots")]) == 1

@@ -1,4 +1,4 @@
-"""Traces that are cut, broken, of something else or not there."""
+"""Traces that are cut off, broken, missing, or of another program."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from koordgen.cli import main
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.audit.reading import opened
-from koordgen.verify.audit.story import mission
+from koordgen.verify.audit.history import mission
+from koordgen.verify.audit.trace_files import read_trace_file
 from tests.verify.audit.fleets import audited, by_name
 from tests.verify.audit.test_audit import HOLDS, edit, home_of
 
@@ -47,7 +47,7 @@ def test_a_trace_of_another_program_names_both_files(home: Path, capsys: pytest.
     told = refused(capsys, home)
     assert str(home / "alice.jsonl") in told and str(home / "cleo.jsonl") in told and "0000000000000000" in told
     edit(home / "cleo.jsonl", lambda r: r | {"app": "other"} if r["kind"] == "header" else r)
-    assert "are of another program: a and other" in refused(capsys, home)
+    assert "differ in the program: a and other" in refused(capsys, home)
 
 
 def test_traces_of_another_version_than_the_program_are_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +98,7 @@ def test_a_trace_that_is_cut_off_is_used_as_far_as_it_goes(home: Path) -> None:
     assert status == 4 and f"{place}: the trace is cut off here" in document["notes"]
     mine = by_name(document)["Mine"]
     assert mine["verdict"] == "held" and [s["outcome"] for s in mine["spans"]] == ["held", "unknown"]
-    assert mine["missing"] == {f"mine of bert: bert told nothing: {place} cannot be read": mine["unknown"]}
+    assert mine["missing"] == {f"mine of bert: bert recorded nothing: {place} cannot be read": mine["unknown"]}
 
 
 def broken_at(path: Path, round_: int, line: bytes) -> int:
@@ -179,7 +179,7 @@ def test_a_counterexample_is_no_trace_of_robots(tmp_path: Path, capsys: pytest.C
 def test_bytes_behind_a_header_never_raise(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "fuzz.jsonl"
     path.write_bytes(json.dumps(HEADER, separators=(",", ":")).encode() + b"\n" + data)
-    log = opened(path)
+    log = read_trace_file(path)
     assert mission([log]).last >= 0 and all(flaw.number > 0 for flaw in log.flaws)
 
 
@@ -215,4 +215,4 @@ def test_a_header_of_nonsense_is_refused(tmp_path: Path) -> None:
             del header["app"]
         (tmp_path / "x.jsonl").write_text(json.dumps(header) + "\n")
         with pytest.raises(BadTrace, match="broken header"):
-            opened(tmp_path / "x.jsonl")
+            read_trace_file(tmp_path / "x.jsonl")

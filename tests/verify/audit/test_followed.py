@@ -1,4 +1,4 @@
-"""Counterexamples that agents ran: an audit of their run finds the same property, at the same round."""
+"""Counterexamples that agents executed: an audit of the run finds the same violation in the same round."""
 
 from __future__ import annotations
 

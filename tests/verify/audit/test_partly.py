@@ -1,4 +1,4 @@
-"""With less of a fleet's traces an audit knows less, and never something else."""
+"""With fewer traces of a fleet an audit knows less, but never contradicts the audit of all traces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Audit and replay of traces in parts: of the rounds that are kept they say what they say of the whole trace."""
+"""Audit and replay of traces in parts: for the rounds that are kept, the same result as for the whole trace."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from koordgen.cli import main
 from tests.verify.audit.fleets import PROGRAM, audited, conditions
 from tests.verify.audit.test_partly import outcomes
-from tests.verify.replay.kept import Kept
+from tests.verify.replay.parts import Kept
 from tests.verify.replay.runs import Run
 from tests.verify.replay.test_replay import ALL, FUNCTIONS
 
@@ -70,7 +70,7 @@ def test_an_audit_says_of_the_kept_rounds_what_it_says_of_the_whole(tmp_path: Pa
         else:
             assert outcome in ("unknown", wanted[key])
     for name, since in zip(("alice", "bert", "cleo"), known, strict=True):
-        assert f"{name}'s trace is known from round {since} on" in "\n".join(less["notes"])
+        assert f"{name}'s trace begins in round {since}:" in "\n".join(less["notes"])
 
 
 def test_an_audit_says_from_which_round_on_the_run_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -154,5 +154,5 @@ def test_earlier_missions_and_versions_in_a_robots_folder_are_left_aside(tmp_pat
     rounds = max(robot.records[-1].round for robot in last.fleet.robots.values())
     assert status in (0, 4) and document["rounds"] == rounds > 10
     notes = "\n".join(document["notes"])
-    assert "is of an earlier version of the program, and is left aside" in notes
+    assert "is of an earlier version of the program, and is ignored" in notes
     assert "alice's part in mission" in notes

@@ -1,4 +1,4 @@
-"""A fleet of agents of a random program over a network in memory, and the shared stores that they see."""
+"""Agents of a random program over a network in memory, and the shared stores that they see."""
 
 from __future__ import annotations
 

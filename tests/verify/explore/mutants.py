@@ -1,4 +1,4 @@
-"""Examples with one mistake each: an update that can be lost, a `not` that is missing, a value that is stale."""
+"""Examples with one mistake each: a lost update, a missing `not`, a stale value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the executable semantics says of the programs that are explored, and searches of them."""
+"""Reference explorer by the executable semantics, and searches with it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from koordgen.lang.semantics.property import holds_assumption, holds_property
 from koordgen.lang.semantics.relations import rounds
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, run_init, sense
-from koordgen.verify.explore.environment import Domain, Environment, Surroundings, answering
+from koordgen.verify.explore.environment import Environment, EnvironmentSteps, SensorDomain, possible_answers
 from koordgen.verify.explore.machine import Machine, Packed
-from koordgen.verify.explore.search import Bounds, Result, Search
+from koordgen.verify.explore.search import ExplorationBounds, ExplorationResult, Search
 from tests.verify.explore.random_programs import LEVELS
 
-LEVEL = Environment({"Dev.level": Domain(LEVELS)}, {})
+LEVEL = Environment({"Dev.level": SensorDomain(LEVELS)}, {})
 NOTHING = Environment({}, {})
 
 
@@ -25,17 +25,17 @@ def search(
     program: decl.Program, n_sys: int, around: Environment = NOTHING, rounds: int | None = None, **switches: Any
 ) -> Search:
     """A search that has not begun, on a clock that no machine disturbs: each look is a thousandth of a second."""
-    machine = Machine(program, n_sys, answering(around, program, n_sys))
+    machine = Machine(program, n_sys, possible_answers(around, program, n_sys))
     ticks = count()
-    bounds = switches.pop("bounds", Bounds(rounds=rounds))
+    bounds = switches.pop("bounds", ExplorationBounds(rounds=rounds))
     return Search(
-        machine, Surroundings(machine, around), bounds, lambda: next(ticks) / 1000, lambda _: None, **switches
+        machine, EnvironmentSteps(machine, around), bounds, lambda: next(ticks) / 1000, lambda _: None, **switches
     )
 
 
 def explored(
     program: decl.Program, n_sys: int, around: Environment = NOTHING, rounds: int | None = None, **switches: Any
-) -> tuple[Search, Result]:
+) -> tuple[Search, ExplorationResult]:
     made = search(program, n_sys, around, rounds, **switches)
     return made, made.run()
 

@@ -1,4 +1,4 @@
-"""Exploration against the executable semantics, state by state, and its reductions against the plain search."""
+"""Exploration compared with the executable semantics, state by state, and reductions with the plain search."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.explore.search import Search
-from koordgen.verify.explore.symmetry import distinguishes, sorted_robots
-from koordgen.verify.prove.report.model import true
+from koordgen.verify.explore.symmetry import asymmetry, sorted_robots
+from koordgen.verify.prove.report.model import is_true
 from tests.lang.semantics.priorities import in_one_block, ranked
 from tests.lang.semantics.programs import compiled
 from tests.verify.explore.random_programs import program as random_text
@@ -119,7 +119,7 @@ def test_compiled_invariants_say_what_the_semantics_says(seed: int) -> None:
     for fleet in made.known:
         state = made.machine.state(fleet)
         assert judge.invariants.broken(judge.machine.packed(state)) == next(
-            (p for p in wanted if not true(p, program, state)), None
+            (p for p in wanted if not is_true(p, program, state)), None
         )
 
 
@@ -129,7 +129,7 @@ def compare_verdicts(seed: int, n_sys: int, number: int) -> None:
 
 def compare_searches(program: Program, n_sys: int, number: int) -> None:
     found = [explored(program, n_sys, LEVEL, number, **switches)[1] for switches in ({}, PLAIN)]
-    assert len({r.violation and r.violation.moments[-1].round for r in found}) == 1
+    assert len({r.violation and r.violation.run_states[-1].round for r in found}) == 1
     reduced, plain = found
     if not reduced.violation:  # it may be through with fewer rounds
         assert plain.stopped or not reduced.stopped
@@ -158,14 +158,14 @@ def test_many_random_programs_do_what_the_semantics_does(seed: int) -> None:
 def compare_alike(program: Program, n_sys: int, around: object, number: int | None) -> int:
     """With symmetry one state stands for all of its permutations, and the verdict is the same. Yields the states."""
     bare = unjudged(program)
-    assert not distinguishes(program)
+    assert not asymmetry(program)
     alike, _ = explored(bare, n_sys, around, number, deadlock=False, forgetting=False)  # type: ignore[arg-type]
     plain, _ = explored(bare, n_sys, around, number, symmetry=False, deadlock=False, forgetting=False)  # type: ignore[arg-type]
     stand_for = {key(alike.machine.state(fleet)) for fleet in alike.known}
     every = {alike.machine.packed(plain.machine.state(fleet)) for fleet in plain.known}
     assert stand_for == {key(alike.machine.state(sorted_robots(fleet))) for fleet in every}
     results = [explored(program, n_sys, around, number, symmetry=s)[1] for s in (True, False)]  # type: ignore[arg-type]
-    names = [r.violation and (r.violation.name, r.violation.moments[-1].round) for r in results]
+    names = [r.violation and (r.violation.name, r.violation.run_states[-1].round) for r in results]
     assert names[0] == names[1]
     return len(plain.known) - len(alike.known)
 
@@ -195,8 +195,8 @@ def test_random_programs_of_three_that_treat_all_alike(seed: int) -> None:
     ("n.count(2) == N_SYS", "n[N_SYS - 1] == 2"),
 ])  # fmt: skip
 def test_whatever_tells_robots_apart_is_seen(old: str, new: str) -> None:
-    assert not distinguishes(compiled(ALIKE))
-    assert distinguishes(compiled(ALIKE.replace(old, new)))
+    assert not asymmetry(compiled(ALIKE))
+    assert asymmetry(compiled(ALIKE.replace(old, new)))
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -1,4 +1,4 @@
-"""What `koordgen explore` says of files and bounds that it cannot make a proof of."""
+"""`koordgen explore`: messages about bad files and bounds."""
 
 from __future__ import annotations
 

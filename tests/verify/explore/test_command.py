@@ -1,4 +1,4 @@
-"""`koordgen explore` as it is called."""
+"""`koordgen explore` from the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file says of an environment, and what follows from it."""
+"""Environment files, and the states that follow from them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.environment import STRAIGHT, Environment, Lacking
+from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment
 from koordgen.verify.explore.lidar import lidar
 from tests.lang.semantics.programs import compiled
 from tests.verify.explore.reference import explored
@@ -65,11 +65,11 @@ def test_intervals() -> None:
 def test_a_change_is_bounded_in_each_round() -> None:
     program = compiled(ROOM)
     found = explored(program, 1, around(program, TEMP + PEOPLE), deadlock=False)[1].violation
-    assert found is not None and found.name == "Cold" and found.moments[-1].round == 3  # 20, 20.5, 21, 21.5
+    assert found is not None and found.name == "Cold" and found.run_states[-1].round == 3  # 20, 20.5, 21, 21.5
     found = explored(program, 1, around(program, TEMP.replace("change: 0.5", "change: 2") + PEOPLE), deadlock=False)[
         1
     ].violation
-    assert found is not None and found.moments[-1].round == 1
+    assert found is not None and found.run_states[-1].round == 1
 
 
 def test_where_it_begins_and_values_of_one_robot() -> None:
@@ -116,7 +116,7 @@ def test_a_planner_answers_as_it_may_and_alike_within_an_event(planner: str, sta
 def test_a_planner_whose_answers_all_break_an_assumption() -> None:
     program = compiled(PLAN)
     found = around(program, "Motion.position: [[0, 0, 0]]\nMotion.planner: [[[5, 5, 0]]]\n")
-    with pytest.raises(Lacking, match=r"Motion\.planner.*none of its answers is one that is assumed"):
+    with pytest.raises(MissingEnvironment, match=r"Motion\.planner.*allow none of its answers"):
         explored(program, 1, found)
 
 
@@ -135,8 +135,8 @@ def test_a_run_that_begins_with_an_answer_is_shown() -> None:
         + "init:\n  sent = len(Motion.planner(Motion.position)) > 0\ninvariant Never: forall i in ID: not sent[i]\n"
     )
     found = explored(program, 2, around(program, "Motion.position: [[0, 0, 0]]\nMotion.planner: either\n"))[1].violation
-    assert found is not None and found.name == "Never" and found.moments[-1].event == "init"
-    assert any(robot.locals["sent"] for robot in found.moments[-1].state.robots)
+    assert found is not None and found.name == "Never" and found.run_states[-1].event == "init"
+    assert any(robot.locals["sent"] for robot in found.run_states[-1].state.robots)
 
 
 def test_a_lidar_sees_walls() -> None:
@@ -256,6 +256,6 @@ def test_what_was_commanded_in_an_earlier_round_is_known_where_a_run_is_shown() 
     assert (
         found is not None
         and found.name == "No"
-        and not all(r.ports["Motion.reached"] for r in found.moments[-1].state.robots)
+        and not all(r.ports["Motion.reached"] for r in found.run_states[-1].state.robots)
     )
-    assert [m.round for m in found.moments if m.event == "Wait"] == [2]
+    assert [m.round for m in found.run_states if m.event == "Wait"] == [2]

@@ -1,4 +1,4 @@
-"""What goes wrong in an example with a mistake is found, by a run of as few rounds as there can be."""
+"""Mistakes in examples are found, by a run with the fewest possible rounds."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from koordgen.build.pipeline import check_file, read_source
 from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import Environment, Surroundings, answering
+from koordgen.verify.explore.environment import Environment, EnvironmentSteps, possible_answers
+from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import Bounds, Result, Search
+from koordgen.verify.explore.search import ExplorationBounds, ExplorationResult, Search
 from tests.verify.explore.mutants import EXAMPLES, MUTANTS, Mutant
 
 N_SYS = 3
@@ -30,10 +30,10 @@ def surrounded(path: Path, env: str, name: str, n_sys: int = N_SYS) -> tuple[Pro
 
 def searched(
     program: Program, around: Environment, functions: Path, rounds: int | None, n_sys: int = N_SYS, **switches: Any
-) -> Result:
-    machine = Machine(program, n_sys, answering(around, program, n_sys), functions)
-    surroundings = Surroundings(machine, around)
-    return Search(machine, surroundings, Bounds(rounds), lambda: 0.0, lambda _: None, **switches).run()
+) -> ExplorationResult:
+    machine = Machine(program, n_sys, possible_answers(around, program, n_sys), functions)
+    surroundings = EnvironmentSteps(machine, around)
+    return Search(machine, surroundings, ExplorationBounds(rounds), lambda: 0.0, lambda _: None, **switches).run()
 
 
 def edited(mutant: Mutant) -> str:
@@ -50,7 +50,7 @@ def test_a_mutant_is_caught_by_a_shortest_run(mutant: Mutant, tmp_path: Path) ->
     functions = EXAMPLES / f"{mutant.program}_functions.py"
     found = searched(program, around, functions, None).violation
     assert found is not None and found.name in mutant.caught.split(", ")
-    assert found.moments[-1].round == mutant.rounds
+    assert found.run_states[-1].round == mutant.rounds
     if mutant.rounds:
         plain = searched(program, around, functions, mutant.rounds - 1, symmetry=False, independence=False)
         assert plain.violation is None and plain.progress.depth == mutant.rounds - 1

@@ -1,4 +1,4 @@
-"""Which runs agents can do: the test that explore and prove share, and the search among runs of agents alone."""
+"""Runs that agents can execute: the test shared by explore and prove, and the search among such runs."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ invariant Never: forall i in ID: not done[i]
 def test_a_counter_that_goes_before_other_events_is_not_forgotten() -> None:
     _, result = explored(compiled(COUNTING), 2)
     assert result.violation is not None
-    assert [moment.event for moment in result.violation.moments[2:]] == ["Rest", "Rest", "Go"]
+    assert [moment.event for moment in result.violation.run_states[2:]] == ["Rest", "Rest", "Go"]
 
 
 @pytest.mark.parametrize("effect", ["wait -= 1", "stop"])

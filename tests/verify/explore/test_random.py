@@ -1,4 +1,4 @@
-"""Random programs: what the explorer reaches, what the semantics reaches, and what agents see."""
+"""Random programs: the explorer reaches the states of the semantics, and those that agents see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a search finds, how far it goes, and what it says of it."""
+"""Search: violations found, limits reached, and texts of results."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.envfile import environment
-from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking
-from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, Bounds
+from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
+from koordgen.verify.explore.environment_file import environment
+from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, ExplorationBounds
 from koordgen.verify.explore.show import document, itf, report, trace
-from koordgen.verify.prove.report.trace import About
+from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Solver
 from tests.lang.semantics.programs import compiled
@@ -68,11 +68,11 @@ Stop:
 initially: forall i in ID: not Lamp.lit[i]
 invariant Dark: forall i in ID: not Lamp.lit[i]
 """
-LIT = Environment({"Lamp.lit": Domain((False, True))}, {})
+LIT = Environment({"Lamp.lit": SensorDomain((False, True))}, {})
 
 
-def names(moments: object) -> list[tuple[int, str, int | None]]:
-    return [(m.round, m.event, m.pid) for m in moments]  # type: ignore[attr-defined]
+def names(run_states: object) -> list[tuple[int, str, int | None]]:
+    return [(m.round, m.event, m.pid) for m in run_states]  # type: ignore[attr-defined]
 
 
 def test_a_lost_update_is_found_in_one_round_of_two_robots() -> None:
@@ -80,7 +80,7 @@ def test_a_lost_update_is_found_in_one_round_of_two_robots() -> None:
     _, result = explored(program, 3)
     found = result.violation
     assert found is not None and found.name == "Counted" and found.failed is not None
-    assert names(found.moments) == [(0, "", None), (0, "init", None), (1, "Add", 0), (1, "Add", 1)]
+    assert names(found.run_states) == [(0, "", None), (0, "init", None), (1, "Add", 0), (1, "Add", 1)]
     shown = report(result, program, "t.koord", 3)
     assert "Counted is violated after 1 round" in shown and "Add of robot 1" in shown and "(t.koord:12)" in shown
     assert all(len(line) <= 100 for line in shown.splitlines())
@@ -89,7 +89,7 @@ def test_a_lost_update_is_found_in_one_round_of_two_robots() -> None:
 def test_who_waits_for_ever_without_having_stopped_is_in_a_deadlock() -> None:
     _, result = explored(compiled(COUNT), 2)
     found = result.violation
-    assert found is not None and found.name == DEADLOCK and found.moments[-1].round == 3
+    assert found is not None and found.name == DEADLOCK and found.run_states[-1].round == 3
     _, result = explored(compiled(COUNT), 2, deadlock=False)
     assert result.violation is None and not result.stopped and [e.name for e in result.unseen] == ["Never"]
     assert result.progress.states == 16 - 6  # who is who makes no difference
@@ -101,7 +101,7 @@ def test_an_event_without_a_result_is_found_with_what_it_read_within_the_round()
         _, result = explored(compiled(STALE), 3, symmetry=symmetry, independence=independence)
         found = result.violation
         assert found is not None and found.name == WELL_DEFINED and "Bad of robot" in found.reason
-        assert [m.event for m in found.moments] == ["", "init", "Up", "Up"] and found.moments[-1].round == 1
+        assert [m.event for m in found.run_states] == ["", "init", "Up", "Up"] and found.run_states[-1].round == 1
         assert found.line == 11
 
 
@@ -132,7 +132,7 @@ def test_nan_and_infinity_are_never_kept(met: str, kept: str, rounds: int, reaso
     program = compiled(GROWING.format(met=met, kept=kept))
     found = explored(program, 2)[1].violation
     assert found is not None and found.name == WELL_DEFINED and reason in found.reason
-    assert (found.moments[-1].round, found.line) == (rounds, line)
+    assert (found.run_states[-1].round, found.line) == (rounds, line)
     with Solver("z3") as solver:
         verdicts = {v.invariant: v.verdict for v in prove(Question(program), solver)}
     assert verdicts["Itself"] == "PROVED"
@@ -147,9 +147,9 @@ def test_an_invariant_in_which_a_comparison_meets_nan_does_not_hold() -> None:
 def test_the_environment_may_end_a_wait() -> None:
     may, never = compiled(LAMP.format(assumed="True")), compiled(LAMP.format(assumed="lit' == lit"))
     found = explored(may, 2, LIT)[1].violation
-    assert found is not None and found.name == "Dark" and found.moments[-1].event == "(environment)"
+    assert found is not None and found.name == "Dark" and found.run_states[-1].event == "(environment)"
     found = explored(never, 2, LIT)[1].violation
-    assert found is not None and found.name == DEADLOCK and found.moments[-1].event == "init"
+    assert found is not None and found.name == DEADLOCK and found.run_states[-1].event == "init"
     free = compiled(LAMP.format(assumed="True").rpartition("invariant")[0])
     result = explored(free, 2, LIT)[1]
     assert result.violation is None and not result.stopped
@@ -168,11 +168,11 @@ def test_what_initially_excludes_all_is_no_proof() -> None:
 
 
 @pytest.mark.parametrize("bounds, stopped, depth", [
-    (Bounds(rounds=2), "the bound of 2 rounds", 2),
-    (Bounds(states=5), "the bound of 5 states", 1),
-    (Bounds(seconds=0.01), "the bound of 0.01 s", 1),
+    (ExplorationBounds(rounds=2), "the bound of 2 rounds", 2),
+    (ExplorationBounds(states=5), "the bound of 5 states", 1),
+    (ExplorationBounds(seconds=0.01), "the bound of 0.01 s", 1),
 ])  # fmt: skip
-def test_a_bound_is_told(bounds: Bounds, stopped: str, depth: int) -> None:
+def test_a_bound_is_told(bounds: ExplorationBounds, stopped: str, depth: int) -> None:
     program = compiled(COUNT)
     _, result = explored(program, 3, bounds=bounds, deadlock=False)
     assert result.violation is None and (result.stopped, result.progress.depth) == (stopped, depth)
@@ -200,7 +200,7 @@ def test_a_violation_is_a_trace_and_an_itf_document() -> None:
     program = compiled(LOST)
     found = explored(program, 2)[1].violation
     assert found is not None
-    lines = [json.loads(line) for line in trace(found, program, About()).splitlines()]
+    lines = [json.loads(line) for line in trace(found, program, RunOrigin()).splitlines()]
     assert lines[0]["kind"] == "header" and (lines[-1]["name"], lines[-1]["t"]) == ("Counted", 1.0)
     assert [r["event"] for r in lines if r["kind"] == "round" and r["pid"] == 0] == [None, "init", "Add", None]
     document = json.loads(itf(found, program))
@@ -246,7 +246,7 @@ def test_an_environment_is_read() -> None:
     "text, lacking", [(None, "Motion.position"), ("Motion.position: [[0, 0, 0]]", "Motion.planner")]
 )
 def test_ports_without_values_are_named(text: str | None, lacking: str) -> None:
-    with pytest.raises(Lacking, match=f"^{lacking} needs .*--env"):
+    with pytest.raises(MissingEnvironment, match=f"^{lacking} needs .*--env"):
         read(compiled(MOTION), text)
 
 
@@ -272,8 +272,8 @@ def test_a_bound_holds_within_a_round_of_many_ends() -> None:
     values = tuple(range(20))
     text = "using Dev:\n  sensors: int level\nlocal: int n\nUp:\n  pre: n < 9\n  eff: n += Dev.level\n"
     program = compiled(text + "initially: forall i in ID: Dev.level[i] == 5\n")  # one state, then 1,600 in one round
-    around = Environment({"Dev.level": Domain(values)}, {})
-    result = explored(program, 2, around, bounds=Bounds(states=450), symmetry=False)[1]
+    around = Environment({"Dev.level": SensorDomain(values)}, {})
+    result = explored(program, 2, around, bounds=ExplorationBounds(states=450), symmetry=False)[1]
     assert result.stopped == "the bound of 450 states" and result.progress.states <= 450 + 20 * 20
 
 
@@ -309,8 +309,8 @@ def test_a_false_loop_invariant_is_a_violation_with_the_step_in_which_it_was_fal
         found = result.violation
         assert found is not None and (found.name, found.line, found.failed) == ("line 17", 17, None)
         events = [(0, ""), (0, "init"), (1, "Grow"), (2, "Grow"), (3, "Sum")]
-        assert [(m.round, m.event) for m in found.moments] == events
-        assert found.moments[-1].state.store.cells["total"] == 1, "the event has its effects all the same"
+        assert [(m.round, m.event) for m in found.run_states] == events
+        assert found.run_states[-1].state.store.cells["total"] == 1, "the event has its effects all the same"
         assert "line 17 is false or has no value in Sum of robot" in found.reason
     shown = report(result, program, "t.koord", 2)
     assert "the loop invariant on line 17 is violated after 3 rounds" in shown and "(t.koord:17)" in shown
@@ -325,4 +325,4 @@ def test_loop_invariants_that_hold_are_no_violation() -> None:
 def test_a_loop_invariant_of_init() -> None:
     init = "init:\n  for i in ID:\n    invariant i < 1\n    turn = 0\n"
     found = explored(compiled(FOLD.format(init=init, most="5")), 2)[1].violation
-    assert found is not None and found.name == "line 8" and [m.event for m in found.moments] == ["", "init"]
+    assert found is not None and found.name == "line 8" and [m.event for m in found.run_states] == ["", "init"]

@@ -1,4 +1,4 @@
-"""Spin and the plain search agree on what the robots of an election can come to."""
+"""Spin and the plain search agree on the reachable states of an election."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many random programs: is anything PROVED that a run breaks, does anything end with an internal error?
+"""Campaign of random programs: searches PROVED invariants that a run breaks, and internal errors.
 
     python -m tests.verify.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
 
@@ -20,7 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from koordgen.verify.prove.smt.solve import Both, Limits, solver_of
+from koordgen.verify.prove.smt.solve import CrossCheck, Limits, solver_of
 from tests.verify.prove.randomly.constructs import constructs
 from tests.verify.prove.randomly.judges import Effort, Judged, judged
 from tests.verify.prove.randomly.programs import Made, checked, program
@@ -49,7 +49,7 @@ class Runner:
 
     def judged(self, made: Made, seed: int) -> Judged:
         """Judge one program; the solvers have their time for this program anew."""
-        for one in self.solver.solvers if isinstance(self.solver, Both) else (self.solver,):
+        for one in self.solver.solvers if isinstance(self.solver, CrossCheck) else (self.solver,):
             one.limits = one.limits._replace(total=one.spent + 4 * self.seconds)
         return judged(made.program, self.solver, seed, self.effort)
 

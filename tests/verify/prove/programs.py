@@ -1,4 +1,4 @@
-"""Programs whose verdicts are known."""
+"""Programs with known verdicts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Obligations by hand: small ones whose answers are known."""
+"""Small hand-made obligations with known answers."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from fractions import Fraction
 from typing import Any
 
 from koordgen.lang.ir.types import INT as KOORD_INT
-from koordgen.verify.prove.smt.obligation import Cell, Fact, Obligation
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation, StateCell
 from koordgen.verify.prove.smt.term import (
     INT,
     REAL,
-    Function,
+    FunctionSymbol,
     Term,
     add,
     apply,
@@ -22,7 +22,7 @@ from koordgen.verify.prove.smt.term import (
 )
 
 ROBOT = constant("i", INT)
-X = Function("Motion.position.x", (INT,), REAL)
+X = FunctionSymbol("Motion.position.x", (INT,), REAL)
 
 
 def x(index: Term) -> Term:
@@ -31,8 +31,10 @@ def x(index: Term) -> Term:
 
 def obligation(facts: dict[str, Term], goal: Term | None, **more: Any) -> Obligation:
     """Of these facts by their labels, each on a line of its own from 1 on."""
-    listed = tuple([Fact(label, fact, "app.koord", line) for line, (label, fact) in enumerate(facts.items(), 1)])
-    shown = Fact("invariant Bounded", goal, "app.koord", 9) if goal else None
+    listed = tuple(
+        [LabelledFormula(label, fact, "app.koord", line) for line, (label, fact) in enumerate(facts.items(), 1)]
+    )
+    shown = LabelledFormula("invariant Bounded", goal, "app.koord", 9) if goal else None
     fields = {
         "name": "Bounded-Go", "kind": "event", "invariant": "Bounded", "event": "Go", "file": "app.koord", "line": 9,
         "logic": "QF_UFLIRA", "facts": listed, "goal": shown, "expected": "unsat" if goal else "sat", "conjuncts": (),
@@ -50,7 +52,7 @@ def true_one(**more: Any) -> Obligation:
 
 def false_one(**more: Any) -> Obligation:
     """x(i) < 1/2 does not imply x(i) < 1/3."""
-    cell = Cell("count", ROBOT, KOORD_INT, (x(ROBOT),), "before")
+    cell = StateCell("count", ROBOT, KOORD_INT, (x(ROBOT),), "before")
     facts = {"guard of Go": less(x(ROBOT), real(Fraction(1, 2)))}
     return obligation(facts, less(x(ROBOT), real(Fraction(1, 3))), cells=(cell,), **more)
 

@@ -1,4 +1,4 @@
-"""Counterexamples are runs of the semantics, and solvers agree. That what is proved holds: test_random.py."""
+"""Counterexamples are runs of the semantics, and solvers agree. test_random.py checks that PROVED invariants hold."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.relations import choices
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import applied, initial, run_init
-from koordgen.verify.prove.obligations.generate import obligations, rooms
+from koordgen.verify.prove.obligations.generate import obligation_groups, obligations
 from koordgen.verify.prove.report.explain import invariant_of
-from koordgen.verify.prove.report.model import allowed, failing, made_state
-from koordgen.verify.prove.report.reach import Run
+from koordgen.verify.prove.report.model import exact_state, failing_conjunct, is_allowed
+from koordgen.verify.prove.report.reach import CounterexampleRun
 from koordgen.verify.prove.report.verdict import Question, prove
-from koordgen.verify.prove.smt.solve import Both, Limits, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver
 from tests.verify.explore.random_programs import program
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
@@ -32,21 +32,21 @@ def checked(tmp_path: Path, text: str) -> Program:
     return check_file(str(path)).program
 
 
-def made_again(app: Program, run: Run, name: str) -> None:
+def made_again(app: Program, run: CounterexampleRun, name: str) -> None:
     """Each moment of a run follows from those before it by the semantics; the last one makes the invariant false."""
-    app, moments = exact(app), run.moments
-    first = moments[0].state
+    app, run_states = exact(app), run.run_states
+    first = run_states[0].state
     levels: list[dict[str, Any]] = [dict(robot.ports) for robot in first.robots]
-    assert first == made_state(initial(app, len(levels), levels))
+    assert first == exact_state(initial(app, len(levels), levels))
     assert all(0 <= level["Dev.level"] <= 2 for level in levels), "what holds initially"
-    assert moments[1].state == run_init(app, first)[0]
-    begun: State = moments[1].state
+    assert run_states[1].state == run_init(app, first)[0]
+    begun: State = run_states[1].state
     acted: set[int] = set()
-    for before, after in pairwise(moments[1:]):
+    for before, after in pairwise(run_states[1:]):
         if after.event == "(environment)":
             moved = zip(before.state.robots, after.state.robots, strict=True)
             for pid, (old, new) in enumerate(moved):
-                assert allowed(app, old.ports, new.ports, pid, before.state) and old.locals == new.locals
+                assert is_allowed(app, old.ports, new.ports, pid, before.state) and old.locals == new.locals
             assert before.state.store == after.state.store
             begun, acted = after.state, set()
             continue
@@ -55,7 +55,7 @@ def made_again(app: Program, run: Run, name: str) -> None:
         acted.add(pid)
         steps = [c for c in choices(app, before.state, pid, begun.store) if c.event == after.event]
         assert after.state in [applied(app, before.state, step) for step in steps]
-    assert failing(invariant_of(app, name), app, moments[-1].state) is not None
+    assert failing_conjunct(invariant_of(app, name), app, run_states[-1].state) is not None
 
 
 def runs(tmp_path: Path, seeds: Iterable[int]) -> int:
@@ -77,7 +77,7 @@ def test_together_obligations_are_answered_as_each_alone_is(tmp_path: Path) -> N
     with Solver("z3", Limits(query=2.0, total=1000.0)) as solver:
         for seed in range(3):
             for robots in (None, 3):
-                made = list(rooms(checked(tmp_path, program(seed)), robots))
+                made = list(obligation_groups(checked(tmp_path, program(seed)), robots))
                 found = solver.ask_all(made)
                 assert [o for o, _ in found] == [o for room in made for o in room]
                 assert all(solver.ask(o).result == answer.result for o, answer in found)
@@ -113,5 +113,5 @@ def test_solvers_agree_on_every_example(example: Path) -> None:
     assert {v.verdict for v in verdicts} == {"PROVED"}
 
 
-def solvers() -> Both:
-    return Both([Solver(name, Limits(query=10.0, total=100_000.0)) for name in ("z3", "cvc5")])
+def solvers() -> CrossCheck:
+    return CrossCheck([Solver(name, Limits(query=10.0, total=100_000.0)) for name in ("z3", "cvc5")])

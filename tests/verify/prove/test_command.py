@@ -1,4 +1,4 @@
-"""`koordgen prove`: exit statuses, what is printed, what is written, and what is said of bad input."""
+"""`koordgen prove`: exit statuses, output, files, and messages about bad input."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.prove.smt.process import allowed
+from koordgen.verify.prove.smt.process import memory_limit
 from koordgen.verify.prove.smt.solve import Limits, solver_of
 from tests.verify.attack.faults import ticks
 from tests.verify.prove.programs import CONTRADICTION, COUNTER, CUBES, LINE, SECRET, STRONG
@@ -156,7 +156,7 @@ def test_without_a_solver(folder: Path, capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setenv("PATH", str(folder))
     assert main(["prove", written(STRONG)]) == 5
     message = capsys.readouterr().err
-    assert "there is no solver z3" in message and "koordgen[prove]" in message
+    assert "solver z3 not found" in message and "koordgen[prove]" in message
 
 
 def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
@@ -219,7 +219,7 @@ def test_a_solver_without_memory_proves_nothing(
 
 def test_a_solver_has_no_more_memory_than_we_have(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("resource.getrlimit", lambda _: (100 << 20, 200 << 20))
-    assert (allowed(2048), allowed(50)) == (100, 50)
+    assert (memory_limit(2048), memory_limit(50)) == (100, 50)
 
 
 def test_a_trace_of_the_counterexample(folder: Path) -> None:
@@ -282,7 +282,7 @@ def test_a_file_is_readable(folder: Path) -> None:
     assert text.startswith("; app.koord:")
     assert "(set-info :status unsat)\n" in text and "(set-info :smt-lib-version 2.6)\n" in text
     assert "app.koord:7: assume position' in Rect(position, target)" in text, "the program's own line"
-    assert "to be shown, and so negated" in text
+    assert "to be shown, therefore negated" in text
     assert max(map(len, text.splitlines())) <= 100
 
 

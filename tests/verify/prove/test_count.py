@@ -1,4 +1,4 @@
-"""Every obligation is made: as many as a count from the IR alone says, and of the same names."""
+"""Every obligation is generated: number and names agree with a count from the IR alone."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from koordgen.lang.ir.decl import Program
 from koordgen.verify.prove.obligations.count import expected
 from koordgen.verify.prove.obligations.generate import obligations
 from tests.verify.prove.battery.battery import BATTERY
+from tests.verify.prove.proving import checked
 from tests.verify.prove.randomly.programs import program as random_program
-from tests.verify.prove.told import checked
 
 EXAMPLES = sorted(Path(__file__).parents[3].glob("examples/*/*.koord"))
 LOOPS = """
@@ -63,7 +63,7 @@ invariant X: forall i in ID: x[i] >= 0 and a[i] >= 0
 def made(program: Program, robots: int | None = None) -> Counter[str]:
     """The names of the obligations of invariants, without what tells equal ones apart."""
     kinds = ("base", "event", "environment", "loop")
-    names = [o.name for o in obligations(program, robots, told="little") if o.kind in kinds]
+    names = [o.name for o in obligations(program, robots, detail="little") if o.kind in kinds]
     return Counter(re.sub(r"(-loop-\d+-(?:entry|turn))-\d+$", r"\1", name) for name in names)
 
 

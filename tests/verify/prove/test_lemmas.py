@@ -1,4 +1,4 @@
-"""What the prover takes for true of distances is true of what robots reckon, but for rounding."""
+"""Lemmas about distances hold for the values that robots compute, up to rounding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the prover knows of loops: invariants that stand at them, invariants that are tried there, facts about turns."""
+"""Loops in proofs: stated invariants, candidate invariants, facts about turns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pytest
 
 from koordgen.build.pipeline import check_file
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver
 
 
@@ -19,7 +19,7 @@ def solver() -> Iterator[Solver]:
         yield running
 
 
-def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, Verdict]:
+def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, InvariantVerdict]:
     path = tmp_path / "app.koord"
     path.write_text(text.lstrip())
     return {v.invariant: v for v in prove(Question(check_file(str(path)).program, robots), solver)}

@@ -13,8 +13,8 @@ from koordgen.lang.node import replace
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.report.explain import invariant_of
-from koordgen.verify.prove.report.reach import Bounds, run_to
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
+from koordgen.verify.prove.report.reach import SearchBounds, run_to
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.lang.semantics.priorities import in_one_block, ranked
 from tests.verify.prove.randomly.judges import Effort, explored
@@ -93,7 +93,7 @@ def solver() -> Iterator[Solver]:
         yield running
 
 
-def verdicts(program: Program, solver: Solver) -> dict[str, Verdict]:
+def verdicts(program: Program, solver: Solver) -> dict[str, InvariantVerdict]:
     return {verdict.invariant: verdict for verdict in prove(Question(program), solver)}
 
 
@@ -128,24 +128,24 @@ def test_a_transaction_may_see_an_earlier_guard_hold(tmp_path: Path, solver: Sol
 
 def test_a_step_that_breaks_the_order_is_not_shown(tmp_path: Path, solver: Solver) -> None:
     """The obligations of the program without its block have models that the program with it does not."""
-    from koordgen.verify.prove.report.model import replayed
-    from koordgen.verify.prove.report.reading import Reader, Unshowable
+    from koordgen.verify.prove.report.model import run_model
+    from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable
 
     free = checked(tmp_path, HOT)
     ordered = checked(tmp_path, in_one_block(HOT))
-    obligation = next(o for o in obligations(free, 1, told="most") if o.event == "Go" and o.kind == "event")
-    reader = Reader(obligation)
+    obligation = next(o for o in obligations(free, 1, detail="most") if o.event == "Go" and o.kind == "event")
+    reader = ModelReader(obligation)
     answer = solver.ask(obligation, reader.wanted())
     assert answer.result == "sat"
     reader.answered(answer.values)
-    assert replayed(exact(free), obligation, reader, 1).event == "Go"
+    assert run_model(exact(free), obligation, reader, 1).event == "Go"
     with pytest.raises(Unshowable, match="an earlier event of the same priority block"):
-        replayed(exact(ordered), obligation, reader, 1)
+        run_model(exact(ordered), obligation, reader, 1)
 
 
 def test_runs_are_looked_for_within_the_block(tmp_path: Path) -> None:
     free, ordered = (exact(checked(tmp_path, text)) for text in (HOT, in_one_block(HOT)))
-    bounds = Bounds(seconds=20.0)
+    bounds = SearchBounds(seconds=20.0)
     assert run_to(free, invariant_of(free, "Q"), (), bounds, 1) is not None
     assert run_to(ordered, invariant_of(ordered, "Q"), (), bounds, 1) is None
 
@@ -163,10 +163,10 @@ Late:
 invariant Q: forall i in ID: a[i] != 7
 """
     program = exact(checked(tmp_path, text))
-    run = run_to(program, invariant_of(program, "Q"), (), Bounds(seconds=20.0))
+    run = run_to(program, invariant_of(program, "Q"), (), SearchBounds(seconds=20.0))
     assert run is not None and run.of_agents
-    assert [(m.event, m.pid) for m in run.moments[2:]] == [("Late", 1)]
-    alone = run_to(program, invariant_of(program, "Q"), (), Bounds(seconds=20.0), 1)
+    assert [(m.event, m.pid) for m in run.run_states[2:]] == [("Late", 1)]
+    alone = run_to(program, invariant_of(program, "Q"), (), SearchBounds(seconds=20.0), 1)
     assert alone is not None and not alone.of_agents
 
 

@@ -1,4 +1,4 @@
-"""Random programs: nothing that is PROVED is broken by a run, and nothing ends with an internal error.
+"""Random programs: no run breaks a PROVED invariant, and no command ends with an internal error.
 
 Half of the programs are new every day. A failure prints the seed, the program and how to judge it again; so does
 `python -m tests.verify.prove.campaign`, which judges as many as one likes.

@@ -1,4 +1,4 @@
-"""Solvers are believed only as far as they may be: whatever they do but answer is UNKNOWN, with its reason."""
+"""Solvers are not trusted: anything but one answer is UNKNOWN, with its reason."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.node import replace
 from koordgen.verify.prove.smt import solve
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.sexpr import Unreadable, read, value, values
-from koordgen.verify.prove.smt.solve import Both, Limits, Solver, SolverMissing, solver_of
+from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver, SolverMissing, solver_of
 from koordgen.verify.prove.smt.term import INT, all_of, constant, less, real
 from tests.verify.prove.terms import ROBOT, contradictory, false_one, hard, true_one, x
 
@@ -106,7 +106,7 @@ def test_sat_without_a_model_that_can_be_read_is_unknown(tmp_path: Path, model: 
     with fake(tmp_path, answer) as solver:
         found = solver.ask(false_one(), [x(ROBOT)])
     assert found.result == "unknown"
-    assert "nothing that can be used" in found.reason
+    assert "unusable model" in found.reason
 
 
 def test_a_solver_that_does_not_read_does_not_block(tmp_path: Path) -> None:
@@ -142,14 +142,14 @@ def test_memory_is_limited() -> None:
 
 def test_two_solvers_that_contradict_each_other_stop_everything(tmp_path: Path) -> None:
     liar = fake(tmp_path, "print('sat')")
-    with Both([Solver("z3", Limits()), liar]) as both, pytest.raises(InternalError, match="contradict"):
+    with CrossCheck([Solver("z3", Limits()), liar]) as both, pytest.raises(InternalError, match="contradict"):
         both.ask(true_one())
 
 
 def test_of_two_solvers_one_may_not_know(tmp_path: Path) -> None:
-    with Both([fake(tmp_path, "print('unknown')"), Solver("z3", Limits())]) as both:
+    with CrossCheck([fake(tmp_path, "print('unknown')"), Solver("z3", Limits())]) as both:
         assert both.ask(true_one()).result == "unsat"
-    with Both([fake(tmp_path, "print('unknown')"), fake(tmp_path, "sys.exit(1)")]) as neither:
+    with CrossCheck([fake(tmp_path, "print('unknown')"), fake(tmp_path, "sys.exit(1)")]) as neither:
         assert neither.ask(true_one()).result == "unknown"
 
 
@@ -158,7 +158,7 @@ def test_a_missing_solver_is_no_answer(monkeypatch: pytest.MonkeyPatch, tmp_path
         Solver("z3", QUICK, ["/no/such/solver"]).ask(true_one())
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(SolverMissing, match="no solver z3"):
+    with pytest.raises(SolverMissing, match="solver z3 not found"):
         solver_of("z3", Limits())
 
 
@@ -181,16 +181,16 @@ def test_values() -> None:
 def parted() -> Obligation:
     """A true and a false conjunct, of three robots by number."""
     parts = (less(x(ROBOT), real(1)), less(x(ROBOT), real(Fraction(1, 3))))
-    facts = tuple([Fact("goal", part, "app.koord", 9) for part in parts])
-    return replace(true_one(), conjuncts=facts, robots=3, goal=Fact("goal", all_of(parts), "app.koord", 9))
+    facts = tuple([LabelledFormula("goal", part, "app.koord", 9) for part in parts])
+    return replace(true_one(), conjuncts=facts, robots=3, goal=LabelledFormula("goal", all_of(parts), "app.koord", 9))
 
 
 def test_a_goal_in_parts_is_proved_when_all_parts_are() -> None:
-    fact = Fact("guard", less(x(ROBOT), real(Fraction(1, 4))), "app.koord", 1)
+    fact = LabelledFormula("guard", less(x(ROBOT), real(Fraction(1, 4))), "app.koord", 1)
     with Solver("z3", Limits()) as solver:
         assert solver.ask(replace(parted(), facts=(fact,))).result == "unsat"
         assert solver.ask(parted()).result == "unsat"
-        fact = Fact("guard", less(x(ROBOT), real(Fraction(1, 2))), "app.koord", 1)
+        fact = LabelledFormula("guard", less(x(ROBOT), real(Fraction(1, 2))), "app.koord", 1)
         assert solver.ask(replace(parted(), facts=(fact,))).result == "sat"
         assert solver.ask(true_one()).result == "unsat"
 
@@ -209,7 +209,7 @@ def many() -> list[list[Obligation]]:
     """Rooms of a true and a false one that share a fact; of one that is satisfiable; of one in parts."""
     true, false = true_one(), false_one()
     shared = (*true.facts, *false.facts)
-    more = Fact("more", less(x(ROBOT), real(Fraction(1, 8))), "app.koord", 3)
+    more = LabelledFormula("more", less(x(ROBOT), real(Fraction(1, 8))), "app.koord", 3)
     satisfiable = replace(true, goal=None, expected="sat")
     return [
         [replace(true, facts=shared), replace(false, facts=shared[1:]), replace(false, facts=(*shared, more))],

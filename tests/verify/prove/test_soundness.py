@@ -1,4 +1,4 @@
-"""Programs of which an earlier prover said PROVED although a run breaks the invariant: each fault has its program."""
+"""Programs on which an earlier prover was wrong: it said PROVED although a run breaks the invariant."""
 
 from __future__ import annotations
 

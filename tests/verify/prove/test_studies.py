@@ -1,4 +1,4 @@
-"""The case studies are proved, for any number of robots and for three; what is weaker is not."""
+"""The case studies are proved, for any number of robots and for three; weaker versions of them are not."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.node import replace
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from koordgen.verify.prove.smt.term import all_of
-from tests.verify.prove.told import checked, told
+from tests.verify.prove.proving import checked, proved_names
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 STUDIES = {
@@ -51,7 +51,7 @@ def program(study: str) -> Program:
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_it_is_proved_for_every_number_of_robots(study: str, solver: Solver) -> None:
-    assert told(program(study), solver) == STUDIES[study]
+    assert proved_names(program(study), solver) == STUDIES[study]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_it_is_proved_for_every_number_of_robots(study: str, solver: Solver) -> 
 def test_it_is_proved_for_three_robots(study: str) -> None:
     """Written out, which takes z3 seconds, and many on a busy machine."""
     with Solver("z3", Limits(query=120.0, total=1000.0)) as patient:
-        assert STUDIES[study] - {"(well-defined)"} <= told(program(study), patient, 3)
+        assert STUDIES[study] - {"(well-defined)"} <= proved_names(program(study), patient, 3)
 
 
 @pytest.mark.parametrize(("study", "part", "name"), WEAKER)
@@ -76,7 +76,7 @@ def test_what_is_weaker_is_not_proved(study: str, part: str, name: str, solver: 
     line = next(line for line in text.splitlines() if part.splitlines()[0] in line)
     left = {"axiom MergedTruth": line, "initially: forall i in ID: Motion.position[i] in Rect(lo, hi)": line}
     instead = "False" if part.startswith("i != me") else ""
-    assert name not in told(checked(text.replace(left.get(part, part), instead)), solver)
+    assert name not in proved_names(checked(text.replace(left.get(part, part), instead)), solver)
 
 
 def test_it_says_no_more_for_more_robots() -> None:
@@ -96,10 +96,10 @@ def test_the_same_obligations_each_time() -> None:
 def test_what_little_is_told_follows_from_what_is_told_usually(study: str, solver: Solver) -> None:
     """And of distances the assumptions' consistency is asked with all of it, apart from single events."""
     usual = {o.name: o for o in obligations(program(study))}
-    for o in obligations(program(study), told="little"):
-        all_of_them = Fact("little", all_of([fact.term for fact in o.facts]), o.file, 1)
+    for o in obligations(program(study), detail="little"):
+        all_of_them = LabelledFormula("little", all_of([fact.term for fact in o.facts]), o.file, 1)
         other = replace(usual[o.name], goal=all_of_them, conjuncts=(), expected="unsat")
         assert len(o.facts) <= len(other.facts) and solver.ask(other).result == "unsat"
         if o.kind == "consistency" and not o.event:
-            told = [[f.label for f in one.facts if f.label.startswith("distance")] for one in (o, other)]
-            assert told[0] == told[1]
+            proved_names = [[f.label for f in one.facts if f.label.startswith("distance")] for one in (o, other)]
+            assert proved_names[0] == proved_names[1]

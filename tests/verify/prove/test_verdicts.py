@@ -1,4 +1,4 @@
-"""Verdicts on programs whose truth is known; every counterexample and every run is what the semantics made of it."""
+"""Verdicts on programs with known truth. The semantics reproduces every counterexample and every run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.exact import exact
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.doubt import doubt
 from koordgen.verify.prove.report.explain import invariant_of
-from koordgen.verify.prove.report.model import failing, true, with_values
+from koordgen.verify.prove.report.model import failing_conjunct, is_true, with_values
 from koordgen.verify.prove.report.show import suggestion
-from koordgen.verify.prove.report.verdict import Question, Verdict, prove
-from koordgen.verify.prove.smt.solve import Answer, Limits, Solver
+from koordgen.verify.prove.report.unknown import unknown_reason
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, prove
+from koordgen.verify.prove.smt.solve import Limits, Solver, SolverAnswer
 from tests.verify.prove.programs import CONTRADICTION, COUNTER, CUBES, DIVIDES, LINE, STRONG, TOKEN
 
 
@@ -33,7 +33,7 @@ def program_of(tmp_path: Path, text: str) -> Program:
     return check_file(str(path)).program
 
 
-def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, Verdict]:
+def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, InvariantVerdict]:
     return {v.invariant: v for v in prove(Question(program_of(tmp_path, text), robots, None), solver)}
 
 
@@ -85,8 +85,8 @@ def test_the_published_invariant_lacks_a_bound_on_targets_which_is_named(tmp_pat
     # Once more, by the semantics alone: true before, false after, by a step that the assumption allows.
     program = with_values(exact(program_of(tmp_path, LINE)), shown.before.params)
     geofence = invariant_of(program, "Geofence")
-    assert true(geofence, program, shown.before)
-    assert not true(geofence, program, shown.after)
+    assert is_true(geofence, program, shown.before)
+    assert not is_true(geofence, program, shown.after)
     numbers = [c for r in shown.after.robots for p in r.ports.values() for c in (p.x, p.y, p.z)]  # type: ignore[union-attr]
     assert all(type(number) is Fraction for number in numbers)
 
@@ -107,7 +107,7 @@ def test_a_sensor_of_which_nothing_is_assumed_is_named_with_what_could_be(tmp_pa
     assert told is not None and told.unassumed == ("Motion.position",)
     assert told.supposed == (f"using Motion: {assume}",)
     assert told.lacking == ("forall i in ID: Motion.target[i] in Rect(lo, hi)",)
-    assert "nothing is assumed of what Motion.position is after a step" in suggestion(found)
+    assert "nothing is assumed about Motion.position after a step" in suggestion(found)
     with_targets = verdicts(tmp_path, STRONG.replace(f"  {assume}\n", ""), solver)["Geofence"].explanation
     assert with_targets is not None
     assert (with_targets.supposed, with_targets.lacking) == ((f"using Motion: {assume}",), ())
@@ -126,13 +126,15 @@ def test_a_false_invariant_comes_with_a_run_and_does_not_spoil_the_others(tmp_pa
     assert "Below" not in found["Small"].rests_on
     told = found["Below"].explanation
     assert told is not None and told.run is not None
-    events = [moment.event for moment in told.run.moments]
+    events = [moment.event for moment in told.run.run_states]
     assert events[:2] == ["", "init"] and events.count("Up") == 3
-    last = told.run.moments[-1].state
+    last = told.run.run_states[-1].state
     program = exact(program_of(tmp_path, COUNTER))
-    assert failing(invariant_of(program, "Below"), program, last) is not None
-    assert all(failing(invariant_of(program, "Below"), program, m.state) is None for m in told.run.moments[:-1])
-    acted = next(m.pid for m in told.run.moments if m.event == "Up")
+    assert failing_conjunct(invariant_of(program, "Below"), program, last) is not None
+    assert all(
+        failing_conjunct(invariant_of(program, "Below"), program, m.state) is None for m in told.run.run_states[:-1]
+    )
+    acted = next(m.pid for m in told.run.run_states if m.event == "Up")
     assert acted is not None and last.robots[acted].locals["third"] == Fraction(1)
 
 
@@ -186,7 +188,7 @@ def test_two_robots_that_read_the_same_moment_both_take_it(tmp_path: Path, solve
     assert found.verdict in ("FALSIFIED", "NOT INDUCTIVE")
     told = found.explanation
     assert told is not None
-    state = told.run.moments[-1].state if told.run else told.counterexample.after  # type: ignore[union-attr]
+    state = told.run.run_states[-1].state if told.run else told.counterexample.after  # type: ignore[union-attr]
     assert [robot.locals["mine"] for robot in state.robots] == [True, True]
 
 
@@ -197,13 +199,13 @@ class Lying(Solver):
         super().__init__("z3", Limits())
         self.result, self.about = result, about
 
-    def ask(self, obligation, wanted=(), core=False, most=0.0) -> Answer:  # type: ignore[no-untyped-def]
+    def ask(self, obligation, wanted=(), core=False, most=0.0) -> SolverAnswer:  # type: ignore[no-untyped-def]
         if obligation.kind == "consistency" and self.about != "consistency":
-            return Answer("sat", 0.0)
+            return SolverAnswer("sat", 0.0)
         if self.about in obligation.name:
             values = tuple([0] * len(wanted)) if self.result == "sat" else ()
-            return Answer(self.result, 0.0, "it said so", values)  # type: ignore[arg-type]
-        return Answer("unsat", 0.0)
+            return SolverAnswer(self.result, 0.0, "it said so", values)  # type: ignore[arg-type]
+        return SolverAnswer("unsat", 0.0)
 
     def ask_all(self, rooms):  # type: ignore[no-untyped-def]
         return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
@@ -216,13 +218,13 @@ def test_a_solver_that_is_wrong_or_silent_about_one_obligation_proves_nothing(
 ) -> None:
     found = verdicts(tmp_path, STRONG, Lying(result, about))["Geofence"]
     assert found.verdict == "UNKNOWN"
-    assert "it said so" in found.reason or "not shown" in found.reason
+    assert "it said so" in found.reason or "cannot be shown" in found.reason
 
 
 def test_without_knowing_that_assumptions_are_consistent_nothing_is_proved(tmp_path: Path) -> None:
     found = verdicts(tmp_path, STRONG, Lying("unknown", "consistency"))["Geofence"]
     assert found.verdict == "UNKNOWN"
-    assert "contradict" in found.reason
+    assert "consistency of the assumptions is undecided" in found.reason
 
 
 # An event that cannot be run exactly stands beside one that can; of what `weigh` yields nothing is known.
@@ -269,12 +271,12 @@ invariant Light: forall i in ID: heavy[i] <= 5
 def test_a_run_is_found_past_events_that_cannot_be_run_exactly(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, ROUND, solver)["Sent"]
     assert found.verdict == "FALSIFIED"
-    assert [m.event for m in found.explanation.run.moments] == ["", "init", "Arrive"]  # type: ignore[union-attr]
+    assert [m.event for m in found.explanation.run.run_states] == ["", "init", "Arrive"]  # type: ignore[union-attr]
 
 
 def test_what_has_no_value_by_the_params_alone_is_told(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, ROUND, solver)["(well-defined)"]
-    assert (found.verdict, found.explanation.usual) == ("NOT INDUCTIVE", True)  # type: ignore[union-attr]
+    assert (found.verdict, found.explanation.with_defaults) == ("NOT INDUCTIVE", True)  # type: ignore[union-attr]
     assert verdicts(tmp_path, f"{ROUND}initially: gap > 0\n", solver)["(well-defined)"].verdict == "PROVED"
 
 
@@ -282,8 +284,8 @@ def test_unknown_tells_the_obligation_its_place_the_reason_and_what_may_help(tmp
     light = verdicts(tmp_path, ROUND, solver)["Light"]
     assert light.verdict == "UNKNOWN"
     assert light.reason.startswith("Light-Weigh (") and "app.koord:27): " in light.reason
-    assert "what weigh yields is known only by what is said of it" in light.reason
-    assert light.reason.endswith("Say more of it in an invariant, a contract or an axiom")
+    assert "the result of weigh is known only by its contract and axioms" in light.reason
+    assert light.reason.endswith("Add facts to an invariant, a contract or an axiom")
 
 
 def test_unknown_names_the_products_that_are_too_hard(tmp_path: Path) -> None:
@@ -338,11 +340,11 @@ def test_the_ledger_tells_lemmas_from_approximations() -> None:
 def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
     program = check_file(str(Path(__file__).parents[3] / "examples/task/separation.koord")).program
     obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
-    late = Answer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
-    said = doubt(program, obligation, late, "")
-    assert said.startswith("Clear-Assign (") and "--timeout may help. It is linear" in said
-    assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said
-    assert "facts" not in doubt(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
+    late = SolverAnswer("unknown", 1.0, "z3 found no answer within 1 s; try a longer --timeout")
+    said = unknown_reason(program, obligation, late, "")
+    assert said.startswith("Clear-Assign (") and "--timeout. The obligation is linear" in said
+    assert f"{len(obligation.facts)} facts" in said and "of them from `distances of paths`" in said
+    assert "facts" not in unknown_reason(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
 
 
 MAPS = """\

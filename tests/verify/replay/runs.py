@@ -1,4 +1,4 @@
-"""Traces of fleets that ran in this process, with the program beside them as a run leaves it."""
+"""Traces of fleets that ran in this process, with the program beside them as in a run's folder."""
 
 from __future__ import annotations
 

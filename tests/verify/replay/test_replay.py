@@ -1,4 +1,4 @@
-"""`koordgen replay`: a trace's program run again on what its robots saw."""
+"""`koordgen replay`: a traced program is run again on the recorded inputs of its robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The trace's schema: what is written fits it, what it means is written down, and old traces become new ones."""
+"""Trace schema: written traces fit it, its fields are documented, and old traces are converted."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Encoding: IR to terms.
+"""Encoding: the IR as terms of SMT.
 
-Owns: expressions, statements, loops, functions, collections and geometry as terms; each approximation is marked.
-Offers: `expr.Encoder`, `stmt.Frame`.
+Owns: expressions, statements, loops, functions, collections and geometry as terms. Each approximation is marked SOUND.
+Offers: `expr.Encoder`, `stmt.SymbolicFrame`.
 Must not import: `obligations`, `report`.
 """

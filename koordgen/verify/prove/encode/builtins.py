@@ -1,4 +1,4 @@
-"""Builtins as terms: exact where the logic has them; else functions of which a few true things are told."""
+"""Builtins as terms: exact if the logic has them, else uninterpreted functions with some facts."""
 
 from __future__ import annotations
 
@@ -10,9 +10,18 @@ from koordgen.lang.ir.types import INT, MapOf, Sized
 from koordgen.verify.prove.encode.encoder import ExprEncoder
 from koordgen.verify.prove.encode.geometry import path_of
 from koordgen.verify.prove.encode.quantifier import proxy
-from koordgen.verify.prove.encode.values import Changed, Choice, Collection, Fleet, Known, Val, pick, truth
+from koordgen.verify.prove.encode.values import (
+    Collection,
+    ConditionalCollection,
+    EnumeratedCollection,
+    FleetValue,
+    UpdatedCollection,
+    Val,
+    as_term,
+    pick,
+)
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.term import Function, Term
+from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
 _MADE = ("Point", "Pose", "Grid", "Rect", "Ball")
@@ -20,7 +29,7 @@ _LISTS = ("sorted", "reversed", "keys", "values", "items", "union", "intersectio
 
 
 def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """A builtin of evaluated arguments."""
+    """Return a builtin applied to evaluated arguments."""
     name, line = node.name, node.span.line
     if name in _MADE:
         return args
@@ -34,94 +43,98 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
         case "clear":
             return _clear(e, args)
         case "abs":
-            x = truth(args[0])
+            x = as_term(args[0])
             zero = _ZERO if x.sort is t.INT else t.real(0)
             return t.ite(t.at_most(zero, x), x, t.negate(x))
         case "min" | "max":
-            a, b = truth(args[0]), truth(args[1])
+            a, b = as_term(args[0]), as_term(args[1])
             return t.ite(t.less(b, a) if name == "min" else t.less(a, b), b, a)
         case "floor" | "ceil" | "round":
-            return _whole(name, truth(args[0]))
+            return _whole(name, as_term(args[0]))
         case "sqrt":
-            return _root(e, truth(args[0]), line)
+            return _root(e, as_term(args[0]), line)
         case "center":
             return _center(args[0])
         case "len":
             return _length(e, node, args[0])
         case "first" | "last":
             xs = path_of(args[0])
-            e.room.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of what has elements", line)
+            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of a nonempty collection", line)
             return _end(e, xs, name == "first")
         case "index":
-            e.room.demand(e.lists.has(path_of(args[0]), args[1]), "what is looked for is there", line)
+            e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item is in the list", line)
             return e.lists.place(path_of(args[0]), args[1])
-        case "sum" if isinstance(args[0], Fleet):
+        case "sum" if isinstance(args[0], FleetValue):
             zero = _ZERO if node.type is INT else t.real(0)
-            return folded(e, args[0], "sum", (), truth, zero)
-        case "count" if isinstance(args[0], Fleet):
+            return sum_over_robots(e, args[0], "sum", (), as_term, zero)
+        case "count" if isinstance(args[0], FleetValue):
             wanted = args[1]
             one = lambda x: t.ite(e.lists.same(x, wanted), _ONE, _ZERO)  # noqa: E731
-            return folded(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
+            return sum_over_robots(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
         case "get" | "map_at":
             return _looked_up(e, node, args)
-        case _ if name in _LISTS and not isinstance(args[0], Fleet):
-            return Changed(name, path_of(args[0]), args[1:], node.type)
+        case _ if name in _LISTS and not isinstance(args[0], FleetValue):
+            return UpdatedCollection(name, path_of(args[0]), args[1:], node.type)
         case _:
             return _opaque(e, node, args)
 
 
 def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
-    if isinstance(xs, Choice):
+    if isinstance(xs, ConditionalCollection):
         return pick(xs.condition, _end(e, xs.then, first), _end(e, xs.orelse, first))
     return e.lists.element(xs, _ZERO if first else t.subtract(e.lists.length(xs), _ONE))
 
 
 def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """# SOUND: a function of which nothing is told but that equal arguments give equal results."""
+    """# SOUND: an uninterpreted function.
+
+    Nothing is assumed of it but that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
-        x, one = truth(args[0]), t.real(1)
+        x, one = as_term(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
-        e.room.demand(inside, f"{node.name} within its domain", node.span.line)
+        e.context.demand(inside, f"{node.name} within its domain", node.span.line)
     elif node.name in ("tan", "exp", "cell"):
-        e.room.note(f"{node.name}: any value; that it has one is not shown")
+        e.context.note(f"{node.name}: any value; that it has one is not shown")
     return e.apply(node.name, f"{node.name}@", args, node.type)
 
 
 def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     xs, line = path_of(args[0]), node.span.line
-    room = e.room
+    context = e.context
     match node.name:
         case "updated" | "without":
-            index = truth(args[1])
-            room.demand(t.and_(t.at_most(_ZERO, index), t.less(index, e.lists.length(xs))), "index in range", line)
+            index = as_term(args[1])
+            context.demand(t.and_(t.at_most(_ZERO, index), t.less(index, e.lists.length(xs))), "index in range", line)
         case "inserted":
-            index = truth(args[1])
-            room.demand(t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line)
+            index = as_term(args[1])
+            context.demand(
+                t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line
+            )
         case "popped":
-            room.demand(t.less(_ZERO, e.lists.length(xs)), "pop of what has elements", line)
+            context.demand(t.less(_ZERO, e.lists.length(xs)), "pop of a nonempty list", line)
         case "removed" | "set_without" | "map_without":
-            room.demand(e.lists.has(xs, args[1]), "what is removed is there", line)
+            context.demand(e.lists.has(xs, args[1]), "the removed item is present", line)
         case "cleared":
-            return Known((), node.type)
-    if isinstance(xs, Known) and node.name == "appended" and len(xs.items) < 8:
-        return Known((*xs.items, args[1]), node.type)
-    return Changed(node.name, xs, args[1:], node.type)
+            return EnumeratedCollection((), node.type)
+    if isinstance(xs, EnumeratedCollection) and node.name == "appended" and len(xs.items) < 8:
+        return EnumeratedCollection((*xs.items, args[1]), node.type)
+    return UpdatedCollection(node.name, xs, args[1:], node.type)
 
 
 def _clear(e: ExprEncoder, args: tuple[Val, ...]) -> Val:
-    """Whether a path keeps more than eps metres away from each of several."""
-    path, others, eps = path_of(args[0]), path_of(args[1]), truth(args[2])
+    """Return whether a path keeps more than eps metres away from each of several other paths."""
+    path, others, eps = path_of(args[0]), path_of(args[1]), as_term(args[2])
 
     def far(other: Val) -> Term:
         return t.less(eps, e.geometry.path_distance(path, path_of(other)))
 
-    if isinstance(others, Known):
+    if isinstance(others, EnumeratedCollection):
         return t.all_of([far(other) for other in others.items])
     long = e.lists.length(others)
     return proxy(
-        e.room,
+        e.context,
         lambda i: t.implies(t.and_(t.at_most(_ZERO, i), t.less(i, long)), far(e.lists.element(others, i))), "other",
-        isinstance(others, Fleet), not isinstance(others, Fleet),
+        isinstance(others, FleetValue), not isinstance(others, FleetValue),
     )  # fmt: skip
 
 
@@ -130,7 +143,7 @@ def _whole(name: str, x: Term) -> Term:
         return t.to_int(x)
     if name == "ceil":
         return t.negate(t.to_int(t.negate(x)))
-    below = t.to_int(x)  # halves go to the even neighbour, as in Python
+    below = t.to_int(x)  # halves are rounded to the even neighbour, as in Python
     part = t.subtract(x, t.to_real(below))
     half = t.real(0.5)
     even = t.equals(t.remainder(below, t.integer(2)), _ZERO)
@@ -140,24 +153,24 @@ def _whole(name: str, x: Term) -> Term:
 
 def _root(e: ExprEncoder, x: Term, line: int) -> Term:
     zero = t.real(0)
-    e.room.demand(t.at_most(zero, x), "sqrt of what is not negative", line)
-    found = t.apply(t.Function("sqrt@", (t.REAL,), t.REAL), x)
+    e.context.demand(t.at_most(zero, x), "sqrt of a number >= 0", line)
+    found = t.apply(t.FunctionSymbol("sqrt@", (t.REAL,), t.REAL), x)
     square = t.and_(t.at_most(zero, found), t.equals(t.multiply(found, found), x))
-    e.room.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)
+    e.context.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)
     return found
 
 
 def _center(cell: Val) -> Val:
     assert isinstance(cell, tuple)
-    x, y, size = (truth(part) for part in cell)
+    x, y, size = (as_term(part) for part in cell)
     half = t.real(0.5)
     return tuple([t.multiply(t.add(t.to_real(place), half), size) for place in (x, y)] + [t.real(0)])
 
 
 def _length(e: ExprEncoder, node: ir.Builtin, xs: Val) -> Term:
     if isinstance(node.args[0].type, Sized):
-        found = truth(e.room.function("string.len", (truth(xs),), INT))
-        e.room.fact(t.at_most(_ZERO, found), "no length is negative", node.span.line)
+        found = as_term(e.context.function("string.len", (as_term(xs),), INT))
+        e.context.fact(t.at_most(_ZERO, found), "no length is negative", node.span.line)
         return found
     return e.lists.length(path_of(xs))
 
@@ -167,45 +180,47 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     assert isinstance(node.args[0].type, MapOf)
     held = e.lists.has(xs, key)
     if node.name == "map_at":
-        e.room.demand(held, "the map has that key", node.span.line)
+        e.context.demand(held, "the map has that key", node.span.line)
         return e.lists.value(xs, key)
     return pick(held, e.lists.value(xs, key), args[2])
 
 
-# Sums over what all robots have: of a fleet where one robot's changed, the sum without the old, with the new.
+# Sums over all robots. If one robot's value changed, the sum is the old sum minus the old value plus the new one.
 
 
-def folded(
-    e: ExprEncoder, xs: Fleet, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
+def sum_over_robots(
+    e: ExprEncoder, xs: FleetValue, name: str, extra: tuple[Term, ...], part: Callable[[Val], Term], zero: Term
 ) -> Term:
-    """The sum of `part` over all robots. For any number of robots it is a function of the fleet, and this is told of
-    it: it is zero where all parts are, not negative where none is, at most N_SYS where none is above one, at least
-    that where none is below; a count is that of the other robots, and this one."""
-    room = e.room
+    """Return the sum of `part` over all robots.
+
+    For any number of robots it is a function of the fleet with these facts: it is zero if all parts are zero, not
+    negative if no part is, at most N_SYS if no part is above one, at least N_SYS if no part is below one. A count is
+    that of the other robots plus this robot's."""
+    context = e.context
     found: Term = zero
-    if room.robots is not None:
-        for robot in range(room.robots):
+    if context.robots is not None:
+        for robot in range(context.robots):
             found = t.add(found, part(xs.slot(t.integer(robot))))
         return found
     if xs.changed is not None:
         before, robot_, value = xs.changed
-        rest = t.subtract(folded(e, before, name, extra, part, zero), part(before.slot(robot_)))
+        rest = t.subtract(sum_over_robots(e, before, name, extra, part, zero), part(before.slot(robot_)))
         found = t.add(rest, part(value))
     else:
         whole = e.lists.term(xs)
         domain = (whole.sort, *[x.sort for x in extra])
-        found = t.apply(Function(f"{xs.type}.{name}", domain, zero.sort), whole, *extra)
-    if found not in room.folds:
-        room.folds.add(found)
-        with room.about(f"{name} over all robots", 0):
+        found = t.apply(FunctionSymbol(f"{xs.type}.{name}", domain, zero.sort), whole, *extra)
+    if found not in context.folds:
+        context.folds.add(found)
+        with context.about(f"{name} over all robots", 0):
             _bounded(e, xs, name, part, found)
     return found
 
 
-def _bounded(e: ExprEncoder, xs: Fleet, name: str, part: Callable[[Val], Term], found: Term) -> None:
-    room, real = e.room, found.sort is t.REAL
+def _bounded(e: ExprEncoder, xs: FleetValue, name: str, part: Callable[[Val], Term], found: Term) -> None:
+    context, real = e.context, found.sort is t.REAL
     zero, one = (t.real(0), t.real(1)) if real else (t.integer(0), t.integer(1))
-    most = t.to_real(room.size) if real else room.size
+    most = t.to_real(context.size) if real else context.size
     wrongs: tuple[tuple[Term, Callable[[Term], Term]], ...] = (
         (t.equals(found, zero), lambda x: t.not_(t.equals(x, zero))),
         (t.at_most(zero, found), lambda x: t.less(x, zero)),
@@ -213,13 +228,13 @@ def _bounded(e: ExprEncoder, xs: Fleet, name: str, part: Callable[[Val], Term], 
         (t.at_most(most, found), lambda x: t.less(x, one)),
     )
     for holds, wrong in wrongs:
-        some = room.new(name, t.INT)
-        room.robot(some, witness=True)
-        room.fact(t.or_(holds, t.and_(room.within(some), wrong(part(xs.slot(some))))))
+        some = context.new(name, t.INT)
+        context.robot(some, witness=True)
+        context.fact(t.or_(holds, t.and_(context.within(some), wrong(part(xs.slot(some))))))
 
     def without(robot: Term) -> Term:
         others = t.subtract(found, part(xs.slot(robot)))
-        return t.implies(room.within(robot), t.and_(t.at_most(zero, others), t.less(others, most)))
+        return t.implies(context.within(robot), t.and_(t.at_most(zero, others), t.less(others, most)))
 
     if name == "count":
-        room.for_all(without)
+        context.for_all(without)

@@ -1,4 +1,4 @@
-"""Interfaces of the expression encoder: what names mean at one place, and the encoder as its parts see it."""
+"""Interfaces of the expression encoder: the scope of names, and the encoder as its parts see it."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from typing import Protocol
 
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.geometry import Geometry
 from koordgen.verify.prove.encode.lists import Lists
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.encode.values import FleetValue, Val
 from koordgen.verify.prove.smt.term import Term
 
 
 class Scope(Protocol):
-    """What a name means at one place."""
+    """Values of names at one place of the program."""
 
     pid: Term
     temps: dict[str, Val]
 
     def slot(self, name: str, index: Term) -> Val: ...
-    def slots(self, name: str) -> Fleet: ...
+    def slots(self, name: str) -> FleetValue: ...
     def cell(self, name: str) -> Val: ...
     def local(self, name: str) -> Val: ...
     def port(self, name: str, primed: bool) -> Val: ...
@@ -30,10 +30,11 @@ class Scope(Protocol):
 
 
 class ExprEncoder(Protocol):
-    """The encoder of expressions as builtins, sums and quantifiers call it. `strict`: whether a quantifier is to be
-    shown to have a value."""
+    """Encoder of expressions, as builtins, sums and quantifiers call it.
 
-    room: Room
+    `strict`: a quantifier demands that its instances have values."""
+
+    context: ProofContext
     lists: Lists
     geometry: Geometry
     strict: bool

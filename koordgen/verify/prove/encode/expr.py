@@ -1,4 +1,7 @@
-"""Expressions as terms. What an expression reads is its scope's; what must hold for it to have a value, a demand."""
+"""Expressions as terms.
+
+Reads go through the scope. Conditions under which an expression has a value are demands.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +12,45 @@ from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import INT, PerRobot, Sized, Type
 from koordgen.verify.prove.encode.builtins import builtin
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.geometry import Geometry, path_of
 from koordgen.verify.prove.encode.lists import Lists
 from koordgen.verify.prove.encode.quantifier import in_fleet, quantified
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Changed, Fleet, Known, Val, is_collection, parts_of, pick, truth
+from koordgen.verify.prove.encode.values import (
+    EnumeratedCollection,
+    FleetValue,
+    UpdatedCollection,
+    Val,
+    as_term,
+    is_collection,
+    parts_of,
+    pick,
+)
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE, _HALF = t.integer(0), t.integer(1), t.real(0.5)
-_EXPANDED = 8  # a list of at most so many elements is gone through by its places
+_EXPANDED = 8  # longest list whose elements are enumerated by their places
 
 
 Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
 
 
 class Encoder:
-    """Encodes expressions of one room. `call` applies a `fun`, an extern function or a spec function."""
+    """Encoder of expressions in one context.
+
+    `call` applies a `fun`, an extern function or a spec function."""
 
     def __init__(
-        self, room: Room, params: dict[str, Val], call: Callable[[str, tuple[Val, ...], ir.Expr], Val]
+        self, context: ProofContext, params: dict[str, Val], call: Callable[[str, tuple[Val, ...], ir.Expr], Val]
     ) -> None:
-        self.room, self.params, self.call = room, params, call
-        self.lists = Lists(room)
-        self.geometry = Geometry(room, self.lists)
-        # What was called on what: where axioms about all values are looked at.
+        self.context, self.params, self.call = context, params, call
+        self.lists = Lists(context)
+        self.geometry = Geometry(context, self.lists)
+        # Function -> arguments of its calls: axioms about all values are instantiated at these.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
-        # Whether a quantifier is to be shown to have a value; of what is assumed that is known.
+        # Whether a quantifier demands that its instances have values. In assumed formulas it does not: they have.
         self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
@@ -45,17 +59,17 @@ class Encoder:
         return _READERS[type(node)](self, node, scope)
 
     def term(self, node: ir.Expr, scope: Scope) -> Term:
-        return truth(self.value(node, scope))
+        return as_term(self.value(node, scope))
 
     def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val:
-        """A call of what is known by contracts and axioms alone: a function of its arguments."""
+        """Encode a call that only contracts and axioms constrain: a function of its arguments."""
         leaves = tuple([leaf for arg in args for leaf in self.lists.leaves(arg)])
         if (name, leaves) not in self.called_on:
             self.called_on.add((name, leaves))
             self.calls.setdefault(name, []).append(args)
-        return self.room.function(symbol, leaves, type_)
+        return self.context.function(symbol, leaves, type_)
 
-    # What is read
+    # Reads
 
     def const(self, node: ir.Const, scope: Scope) -> Val:
         if isinstance(node.value, bool):
@@ -67,13 +81,13 @@ class Encoder:
         return self.text(node.value, node.type)
 
     def text(self, text: str, type_: Type) -> Val:
-        """Texts are constants; two literals differ."""
-        texts = self.room.texts
+        """Encode a text as a constant that differs from those of all other literals."""
+        texts = self.context.texts
         if text not in texts:
             shown = "".join([c if c.isalnum() else "_" for c in text if c.isascii()])
-            found = truth(self.room.function(f"text@{len(texts)}@{shown}", (), type_))
+            found = as_term(self.context.function(f"text@{len(texts)}@{shown}", (), type_))
             for other in texts.values():
-                self.room.fact(t.not_(t.equals(other, found)), "texts differ", 0)
+                self.context.fact(t.not_(t.equals(other, found)), "texts differ", 0)
             texts[text] = found
         return texts[text]
 
@@ -81,10 +95,10 @@ class Encoder:
         return scope.pid
 
     def size(self, node: ir.NSys, scope: Scope) -> Val:
-        return self.room.size
+        return self.context.size
 
     def ids(self, node: ir.Ids, scope: Scope) -> Val:
-        return Fleet("ID", lambda robot: robot, PerRobot(INT))
+        return FleetValue("ID", lambda robot: robot, PerRobot(INT))
 
     def param(self, node: ir.ParamRead, scope: Scope) -> Val:
         return self.params[node.name]
@@ -115,12 +129,12 @@ class Encoder:
 
     def robot(self, node: ir.Expr, scope: Scope) -> Term:
         index = self.term(node, scope)
-        if not self.room.indices.get(index, False) and index not in self.room.granted:
-            self.room.demand(self.room.within(index), "index of a robot", node.span.line)
-            self.room.robot(index)
+        if not self.context.indices.get(index, False) and index not in self.context.granted:
+            self.context.demand(self.context.within(index), "index of a robot", node.span.line)
+            self.context.robot(index)
         return index
 
-    # What is computed
+    # Operators
 
     def widen(self, node: ir.Widen, scope: Scope) -> Val:
         return t.to_real(self.term(node.operand, scope))
@@ -128,52 +142,56 @@ class Encoder:
     def unary(self, node: ir.Unary, scope: Scope) -> Val:
         value = self.value(node.operand, scope)
         if node.op == "not":
-            return t.not_(truth(value))
+            return t.not_(as_term(value))
         if isinstance(value, tuple):
-            return tuple([t.negate(truth(part)) for part in value])
-        return t.negate(truth(value))
+            return tuple([t.negate(as_term(part)) for part in value])
+        return t.negate(as_term(value))
 
     def binary(self, node: ir.Binary, scope: Scope) -> Val:
         left, right = self.value(node.left, scope), self.value(node.right, scope)
         if is_collection(node.type):
-            return Changed("extended", path_of(left), (right,), node.type)
+            return UpdatedCollection("extended", path_of(left), (right,), node.type)
         if isinstance(node.type, Sized):
-            return self.room.function(f"{node.type}.joined", (truth(left), truth(right)), node.type)
+            return self.context.function(f"{node.type}.joined", (as_term(left), as_term(right)), node.type)
         if node.op in ("/", "//", "%"):
-            divisor = truth(right)
+            divisor = as_term(right)
             zero = _ZERO if divisor.sort is t.INT else t.real(0)
-            self.room.demand(t.not_(t.equals(divisor, zero)), "divisor is not zero", node.span.line)
+            self.context.demand(t.not_(t.equals(divisor, zero)), "divisor is not zero", node.span.line)
         if node.op == "/" and node.left.type is INT:
-            left, right = t.to_real(truth(left)), t.to_real(truth(right))
+            left, right = t.to_real(as_term(left)), t.to_real(as_term(right))
         if isinstance(left, tuple) or isinstance(right, tuple):
             self.geometry.measured = True
         match left, right:
             case tuple(), tuple():
-                return tuple([_number(node.op, truth(a), truth(b)) for a, b in zip(left, right, strict=True)])
+                return tuple([_number(node.op, as_term(a), as_term(b)) for a, b in zip(left, right, strict=True)])
             case tuple(), _:
-                return tuple([_number(node.op, truth(a), truth(right)) for a in left])
+                return tuple([_number(node.op, as_term(a), as_term(right)) for a in left])
             case _, tuple():
-                return tuple([_number(node.op, truth(left), truth(b)) for b in right])
+                return tuple([_number(node.op, as_term(left), as_term(b)) for b in right])
             case _ if node.op == "**":
-                return self.power(node, truth(left), truth(right))
-            case _ if node.op in ("//", "%") and node.type is INT and t.number(truth(right)) is None:
-                return self.by_unknown(node.op, truth(left), truth(right))
+                return self.power(node, as_term(left), as_term(right))
+            case _ if node.op in ("//", "%") and node.type is INT and t.number(as_term(right)) is None:
+                return self.by_unknown(node.op, as_term(left), as_term(right))
             case _:
-                return _number(node.op, truth(left), truth(right))
+                return _number(node.op, as_term(left), as_term(right))
 
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
-        """Quotient and remainder by what is no literal: functions, of which what goes once around a ring needs is
-        told."""
-        self.room.note("// and % by what is no number: exact below twice the divisor; beyond that the bounds alone")
-        quotient, rest = (t.apply(t.Function(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
+        """Encode quotient and remainder by a divisor that is no literal as functions.
+
+        SOUND: the facts about them are exact for dividends below twice the divisor, as steps around a ring need;
+        beyond, only the bounds are known."""
+        self.context.note(
+            "// and % by a divisor that is no literal: exact below twice the divisor; beyond that only the bounds"
+        )
+        quotient, rest = (t.apply(t.FunctionSymbol(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
         positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
         once = t.and_(positive, t.at_most(_ZERO, a), t.less(a, b))
         twice = t.and_(positive, t.at_most(b, a), t.less(a, t.add(b, b)))
-        with self.room.about("quotient and remainder", 0):
-            self.room.fact(t.implies(positive, t.and_(t.at_most(_ZERO, rest), t.less(rest, b))))
-            self.room.fact(t.implies(negative, t.and_(t.less(b, rest), t.at_most(rest, _ZERO))))
-            self.room.fact(t.implies(once, t.and_(t.equals(quotient, _ZERO), t.equals(rest, a))))
-            self.room.fact(t.implies(twice, t.and_(t.equals(quotient, _ONE), t.equals(rest, t.subtract(a, b)))))
+        with self.context.about("quotient and remainder", 0):
+            self.context.fact(t.implies(positive, t.and_(t.at_most(_ZERO, rest), t.less(rest, b))))
+            self.context.fact(t.implies(negative, t.and_(t.less(b, rest), t.at_most(rest, _ZERO))))
+            self.context.fact(t.implies(once, t.and_(t.equals(quotient, _ZERO), t.equals(rest, a))))
+            self.context.fact(t.implies(twice, t.and_(t.equals(quotient, _ONE), t.equals(rest, t.subtract(a, b)))))
         return quotient if op == "//" else rest
 
     def power(self, node: ir.Binary, base: Term, exponent: Term) -> Val:
@@ -184,17 +202,17 @@ class Encoder:
                 found = t.multiply(found, base)
             return found
         if node.type is INT:
-            self.room.demand(t.at_most(_ZERO, exponent), "exponent is not negative", node.span.line)
-        return self.room.function("power@", (base, exponent), node.type)
+            self.context.demand(t.at_most(_ZERO, exponent), "exponent is not negative", node.span.line)
+        return self.context.function("power@", (base, exponent), node.type)
 
     def compare(self, node: ir.Compare, scope: Scope) -> Val:
         left, right = self.value(node.left, scope), self.value(node.right, scope)
         if node.op in ("==", "!="):
             same = self.lists.same(left, right)
             return same if node.op == "==" else t.not_(same)
-        a, b = truth(left), truth(right)
+        a, b = as_term(left), as_term(right)
         if isinstance(node.left.type, Sized):
-            return self.room.function(f"{node.left.type} {node.op}", (a, b), node.type)
+            return self.context.function(f"{node.left.type} {node.op}", (a, b), node.type)
         match node.op:
             case "<":
                 return t.less(a, b)
@@ -206,6 +224,7 @@ class Encoder:
                 return t.at_most(b, a)
 
     def contains(self, node: ir.Contains, scope: Scope) -> Val:
+        """Return whether a Rect, Ball, string, fleet or collection contains an item."""
         item, held = self.value(node.item, scope), self.value(node.values, scope)
         match str(node.values.type):
             case "Rect":
@@ -214,13 +233,13 @@ class Encoder:
                 assert isinstance(low, tuple) and isinstance(high, tuple)
                 self.geometry.measured = True
                 axes = zip(item, low, high, strict=True)
-                return t.all_of([_between(truth(x), truth(a), truth(b)) for x, a, b in axes])
+                return t.all_of([_between(as_term(x), as_term(a), as_term(b)) for x, a, b in axes])
             case "Ball":
                 assert isinstance(held, tuple)
-                return t.at_most(self.geometry.distance(item, held[0]), truth(held[1]))
+                return t.at_most(self.geometry.distance(item, held[0]), as_term(held[1]))
             case "string":
-                return self.room.function("string.has", (truth(held), truth(item)), node.type)
-        if isinstance(held, Fleet):
+                return self.context.function("string.has", (as_term(held), as_term(item)), node.type)
+        if isinstance(held, FleetValue):
             return in_fleet(self, held, item)
         return self.lists.has(path_of(held), item)
 
@@ -228,17 +247,17 @@ class Encoder:
         left = self.term(node.left, scope)
         if left is (t.FALSE if node.op == "and" else t.TRUE):
             return left
-        with self.room.under(left if node.op == "and" else t.not_(left)):
+        with self.context.under(left if node.op == "and" else t.not_(left)):
             right = self.term(node.right, scope)
         return t.and_(left, right) if node.op == "and" else t.or_(left, right)
 
     def conditional(self, node: ir.Conditional, scope: Scope) -> Val:
         condition = self.term(node.condition, scope)
-        if isinstance(condition, t.Value):
+        if isinstance(condition, t.LiteralTerm):
             return self.value(node.then if condition.value else node.orelse, scope)
-        with self.room.under(condition):
+        with self.context.under(condition):
             then = self.value(node.then, scope)
-        with self.room.under(t.not_(condition)):
+        with self.context.under(t.not_(condition)):
             orelse = self.value(node.orelse, scope)
         return pick(condition, then, orelse)
 
@@ -247,16 +266,16 @@ class Encoder:
     def make(self, node: ir.Make, scope: Scope) -> Val:
         items = tuple([self.value(item, scope) for item in node.items])
         if is_collection(node.type):
-            return Known(items, node.type)
+            return EnumeratedCollection(items, node.type)
         if parts_of(node.type) is not None:
             return items
-        return self.room.function(f"{node.type}.new", (), node.type)
+        return self.context.function(f"{node.type}.new", (), node.type)
 
     def field(self, node: ir.Field, scope: Scope) -> Val:
         whole = self.value(node.operand, scope)
         if isinstance(whole, tuple):
             return whole[self.part(node.operand.type, node.name)]
-        return self.room.function(f"{node.operand.type}.{node.name}", (truth(whole),), node.type)
+        return self.context.function(f"{node.operand.type}.{node.name}", (as_term(whole),), node.type)
 
     def part(self, type_: Type, name: str) -> int:
         parts = parts_of(type_)
@@ -277,26 +296,26 @@ class Encoder:
     def at(self, node: ir.At, scope: Scope) -> Val:
         whole, index = self.value(node.operand, scope), self.term(node.index, scope)
         if isinstance(node.operand.type, Sized):
-            long = truth(self.room.function("string.len", (truth(whole),), INT))
+            long = as_term(self.context.function("string.len", (as_term(whole),), INT))
             self.in_range(index, long, node)
-            return self.room.function("string.at", (truth(whole), index), node.type)
+            return self.context.function("string.at", (as_term(whole), index), node.type)
         xs = path_of(whole)
         self.in_range(index, self.lists.length(xs), node)
         return self.lists.element(xs, index)
 
     def in_range(self, index: Term, length: Term, node: ir.Expr) -> None:
         inside = t.and_(t.at_most(_ZERO, index), t.less(index, length))
-        self.room.demand(inside, "index in range", node.span.line)
+        self.context.demand(inside, "index in range", node.span.line)
 
     def slice(self, node: ir.Slice, scope: Scope) -> Val:
         whole = self.value(node.operand, scope)
         bounds = [None if b is None else self.term(b, scope) for b in (node.start, node.stop)]
         for bound in bounds:
             if bound is not None:
-                self.room.demand(t.at_most(_ZERO, bound), "bound of a slice is not negative", node.span.line)
+                self.context.demand(t.at_most(_ZERO, bound), "bound of a slice is not negative", node.span.line)
         name = f"{node.type}.slice" + "".join(["_" if b is None else "i" for b in bounds])
         args = tuple([b for b in bounds if b is not None])
-        return self.room.function(name, (*self.lists.leaves(whole), *args), node.type)
+        return self.context.function(name, (*self.lists.leaves(whole), *args), node.type)
 
     # Calls
 
@@ -310,23 +329,23 @@ class Encoder:
         return builtin(self, node, tuple([self.value(arg, scope) for arg in node.args]))
 
     def defined(self, node: ir.Expr, scope: Scope) -> Term:
-        """That a formula has a value, and that it is true."""
+        """Return that a formula has a value and is true."""
         return t.and_(*self.parts(node, scope))
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
-        """Return two terms: that a formula has a value, and that it is true if it has one."""
-        room = self.room
-        kept = room.path, room.demands
-        room.path, room.demands = (), []  # as `outermost` and `aside` do; this runs for each instance of a formula
+        """Return two terms: the formula has a value, and it is true if it has one."""
+        context = self.context
+        kept = context.path, context.demands
+        context.path, context.demands = (), []  # as the context managers do, inlined since each instance comes here
         try:
             formula = self.term(node, scope)
-            return t.all_of([demand.term for demand in room.demands]), formula
+            return t.all_of([demand.term for demand in context.demands]), formula
         finally:
-            room.path, room.demands = kept
+            context.path, context.demands = kept
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:
-    """x is between a and b, whichever is less."""
+    """Return that x is between a and b, whichever of them is less."""
     return t.or_(t.and_(t.at_most(a, x), t.at_most(x, b)), t.and_(t.at_most(b, x), t.at_most(x, a)))
 
 

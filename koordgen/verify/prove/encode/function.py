@@ -1,4 +1,7 @@
-"""Functions: `fun`s are run on symbols, extern functions known by their contracts, spec functions by axioms."""
+"""Functions: `fun`s are executed symbolically.
+
+Extern functions have contracts, spec functions have axioms.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,40 @@ from collections.abc import Callable
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
+from koordgen.verify.prove.encode.context import ProofContext, symbol
 from koordgen.verify.prove.encode.expr import Encoder
-from koordgen.verify.prove.encode.loop import WayOf, temps_of
-from koordgen.verify.prove.encode.room import Room, symbol
-from koordgen.verify.prove.encode.stmt import Frame, Head
-from koordgen.verify.prove.encode.values import Changed, Choice, Fleet, Known, Named, Val, pick
+from koordgen.verify.prove.encode.loop import EncodingOf, temps_of
+from koordgen.verify.prove.encode.stmt import LoopHead, SymbolicFrame
+from koordgen.verify.prove.encode.values import (
+    ConditionalCollection,
+    EnumeratedCollection,
+    FleetValue,
+    OpaqueCollection,
+    UpdatedCollection,
+    Val,
+    pick,
+)
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.term import Term
 
 
 class Functions:
-    """The functions of a program in one room. `know` is told the head of each loop that is cut. `brief`: of what such
-    loops leave behind nothing is told, which most proofs do not need."""
+    """Functions of a program in one context.
 
-    def __init__(self, room: Room, params: dict[str, Val], know: Callable[[Head], None], brief: bool) -> None:
-        program = room.program
-        self.room, self.know, self.brief = room, know, brief
+    `know` receives the head of each loop that is cut. `brief`: add no facts about what such loops leave behind, since
+    most proofs need none."""
+
+    def __init__(
+        self, context: ProofContext, params: dict[str, Val], know: Callable[[LoopHead], None], brief: bool
+    ) -> None:
+        program = context.program
+        self.context, self.know, self.brief = context, know, brief
         self.functions = {f.name: f for f in program.functions}
         self.externs = {f.name: f for f in program.externs}
-        self.runs: dict[tuple[object, ...], tuple[Val, list[Fact], tuple[Val, ...]]] = {}
+        self.runs: dict[tuple[object, ...], tuple[Val, list[LabelledFormula], tuple[Val, ...]]] = {}
         self.closed: dict[str, bool] = {}
-        self.encoder = Encoder(room, params, self.call)
+        self.encoder = Encoder(context, params, self.call)
 
     def call(self, name: str, args: tuple[Val, ...], node: ir.Expr) -> Val:
         if name in self.functions:
@@ -38,17 +53,17 @@ class Functions:
         return self.encoder.apply(name, symbol(name), args, node.type)
 
     def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
-        """The result of a call; that its operations have values is demanded where the call is made. Calls with the same
-        arguments are one run. SOUND: a run that calls no extern function says nothing of the place of the call."""
+        """Return the result of a call. Its demands are made at each call. Calls with equal arguments share one
+        symbolic execution. SOUND: a run that calls no extern function adds no facts that depend on the call's place."""
         if not self.is_closed(function):
             return self.result(function, args)
-        room, key = self.room, (function.name, *map(_identity, args))
+        context, key = self.context, (function.name, *map(_identity, args))
         if key not in self.runs:
-            with room.outermost(), room.aside() as demands:
+            with context.outermost(), context.separate_demands() as demands:
                 self.runs[key] = self.result(function, args), demands, args
         result, demands, _ = self.runs[key]
         for demand in demands:
-            room.demand(demand.term, demand.label, demand.line)
+            context.demand(demand.term, demand.label, demand.line)
         return result
 
     def is_closed(self, function: decl.Function) -> bool:
@@ -61,7 +76,7 @@ class Functions:
 
     def result(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
         frame = self.frame(function, args)
-        depth = len(self.room.path)
+        depth = len(self.context.path)
         frame.block(function.block)
         found: Val | None = None
         for left in reversed(frame.exits):
@@ -69,41 +84,49 @@ class Functions:
             found = left.value if found is None else pick(t.all_of(left.path[depth:]), left.value, found)
         if not frame.heads and found is not None:
             return found
-        # SOUND: of a loop that is cut only the facts at its head are known. What the function yields is one value for
-        # equal arguments, and one of those that the facts allow.
-        self.room.note(f"{function.name}: of what its loops write only invariants and facts about turns are known")
+        # SOUND (over-approximation): only the facts at its head are known of a loop that is cut. The result is one
+        # value for equal arguments, any of those that the facts allow.
+        self.context.note(
+            f"{function.name}: only the invariants and facts about turns are known of what its loops write"
+        )
         result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
         if found is not None and not self.brief:
-            self.room.given(self.encoder.lists.same(result, found), f"result of {function.name}", function.span.line)
+            self.context.fact_if_reached(
+                self.encoder.lists.same(result, found), f"result of {function.name}", function.span.line
+            )
         return result
 
-    def frame(self, function: decl.Function, args: tuple[Val, ...], way: WayOf | None = None) -> Frame:
-        """A run of a function that is yet to begin."""
+    def frame(
+        self, function: decl.Function, args: tuple[Val, ...], encoding: EncodingOf | None = None
+    ) -> SymbolicFrame:
+        """Return the frame in which a function is about to run."""
         parameters = {p.name: p.type for p in function.parameters}
         types = {**parameters, **temps_of(function.block)}
-        frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, way)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, encoding)
         frame.brief = self.brief
         frame.temps = dict(zip(parameters, args, strict=True))
         return frame
 
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        """What it requires is demanded. What it ensures holds where the call is made and has a result: of one that
-        breaks its contract the event is discarded."""
+        """Encode a call of an extern function: demand what it requires, assume what it ensures.
+
+        The latter holds where the call is made and has a result, since an event whose call breaks its contract is
+        discarded."""
         result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         required, ensured = self.contract(function, args, result)
         for formula in required:
-            self.room.demand(formula, f"{function.name} requires", node.span.line)
+            self.context.demand(formula, f"{function.name} requires", node.span.line)
         for formula, line in ensured:
             label = f"contract of {function.name}"
-            self.room.given(t.implies(t.all_of(required), formula), label, line)
+            self.context.fact_if_reached(t.implies(t.all_of(required), formula), label, line)
         return result
 
     def contract(
         self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
     ) -> tuple[list[Term], list[tuple[Term, int]]]:
-        """Return what a call requires, and what its result then satisfies, with the lines that say so."""
+        """Return what a call requires, and what its result then satisfies, each with its line."""
         types = {p.name: p.type for p in function.parameters}
-        frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
         frame.temps = dict(zip(types, args, strict=True))
         required = [self.encoder.defined(formula, frame) for formula in function.requires]
         frame.temps["result"] = result
@@ -111,15 +134,15 @@ class Functions:
 
 
 def _identity(value: Val) -> object:
-    """Return a key of an argument: arguments with equal keys have equal values, whatever the state."""
+    """Return a key of an argument. Arguments with equal keys have equal values in every state."""
     match value:
-        case Fleet(name):
+        case FleetValue(name):
             return "fleet", name
-        case Named(term):
+        case OpaqueCollection(term):
             return term
         case tuple():
             return tuple(map(_identity, value))
-        case Known() | Choice() | Changed():
+        case EnumeratedCollection() | ConditionalCollection() | UpdatedCollection():
             return id(value)
         case _:
             return value

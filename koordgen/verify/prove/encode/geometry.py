@@ -1,53 +1,53 @@
-"""Distances of points and of paths: functions of which lemmas are told, each true of runtime/values/geometry.py.
+"""Distances of points and of paths: functions with lemmas that hold for robots' computations.
 
-A path is not looked into: only its first and last points are, and paths of one point. Squares are told where
-coordinates are reckoned with elsewhere (`measured`), or where they are asked for; all else is linear.
+Of a path only its first and last point are modelled, and paths of one point. Squares of distances become facts only if
+coordinates occur in other arithmetic (`measured`), or on request (`exact`). All other facts are linear.
 
-`brief` tells little, of which most proofs need no more: what lemmas bring forth has none of its own, but for what it
-says of distances that were met already; and instead of being told that a distance is symmetric, each pair is always
-written the same way round. Mostly, that is: equal pairs of which that is not known when they are written need not be.
+`brief` adds fewer facts, which suffice for most proofs. Distances that lemmas introduce get no lemmas of their own,
+except about distances that exist already. Instead of facts that a distance is symmetric, each pair is written in one
+order. That order is a heuristic: pairs that are equal, but not known to be when they are written, may differ in it.
 """
 
 from __future__ import annotations
 
 from koordgen.lang.ir.types import POINT, list_of
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.lists import Lists
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Choice, Collection, Known, Val, build
+from koordgen.verify.prove.encode.values import Collection, ConditionalCollection, EnumeratedCollection, Val, build
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.term import Function, Term
+from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
 _ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
-DISTANCES = "distances of points: never negative, zero between equal points only, told by squares where that is needed"
+DISTANCES = "distances of points: never negative, zero between equal points only, exact by squares where that is needed"
 PATHS = (
     "path_distance: symmetric; never negative; of two paths of one point the distance of the points; not above the "
     "distance of an end of the path; less by d at most when the point of a path of one point moves by d; not above the "
-    "way past a third point"
+    "sum of the distances to a third point"
 )
 Triple = tuple[Term, ...]
 
 
 class Geometry:
-    """The distances that were met in one room."""
+    """Distances that occur in one context."""
 
-    def __init__(self, room: Room, lists: Lists) -> None:
-        self.room, self.lists = room, lists
+    def __init__(self, context: ProofContext, lists: Lists) -> None:
+        self.context, self.lists = context, lists
         self.distances: dict[tuple[Triple, Triple], Term] = {}
-        self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # of those that the program speaks of
+        self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # distances that the program itself mentions
         self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
         self.points: dict[Term, Triple] = {}  # paths of one point
-        self.given: set[Term] = set()  # paths that the program speaks of
+        self.given: set[Term] = set()  # paths that the program itself mentions
         self.singles: dict[Triple, Term] = {}
-        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with so many neighbours
-        self.others: dict[Term, Collection] = {}  # paths that are but terms
+        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with the number of neighbours at that time
+        self.others: dict[Term, Collection] = {}  # paths that are not known to have one point
         self.measured = False
         self.squared: set[Term] = set()
         self.brief = False
-        self.settled = False  # lemmas bring forth no more distances
+        self.settled = False  # lemmas introduce no more distances
         self.ranks: dict[Term, int] = {}
 
     def distance(self, a: Val, b: Val) -> Term:
-        """Of two points, in metres."""
+        """Return the distance of two points, in metres."""
         return self.of_points(self.lists.leaves(a), self.lists.leaves(b))
 
     def of_points(self, p: Triple, q: Triple) -> Term:
@@ -66,36 +66,42 @@ class Geometry:
             return _NOTHING
         found = self.distances.get((p, q))
         if found is None:
-            self.room.note(DISTANCES)
-            name = Function("distance@points", (t.REAL,) * 6, t.REAL)
+            self.context.note(DISTANCES)
+            name = FunctionSymbol("distance@points", (t.REAL,) * 6, t.REAL)
             one, other = self._ordered(p, q)
             found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *one, *other)
-            with self.room.about("distance of two points", 0):
-                self.room.fact(t.at_most(_NOTHING, found))
-                self.room.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
+            with self.context.about("distance of two points", 0):
+                self.context.fact(t.at_most(_NOTHING, found))
+                self.context.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
                 if not self.brief:
-                    self.room.fact(t.equals(found, t.apply(name, *q, *p)))
+                    self.context.fact(t.equals(found, t.apply(name, *q, *p)))
         return found
 
     def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
-        """A pair as it is written: where little is told, what speaks of the acting robot first, so that pairs that
-        are equal once their parts are, are one. Any order is right."""
+        """Return a pair in the order in which it is written.
+
+        If `brief`, the point of the acting robot comes first, so that pairs whose parts turn out equal become one term.
+        Any order is right."""
         return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
 
     def _rank(self, term: Term) -> int:
-        """By the last of the robots that a term speaks of."""
-        if isinstance(term, t.Value):
+        """Return the place of the last robot in a term, in the order of the context's robots.
+
+        -1 without a robot."""
+        if isinstance(term, t.LiteralTerm):
             return -1
         found = self.ranks.get(term)
         if found is None:
-            own = list(self.room.indices).index(term) if term in self.room.indices else -1
+            own = list(self.context.indices).index(term) if term in self.context.indices else -1
             found = self.ranks[term] = max([own, *map(self._rank, term.args)])
         return found
 
     def path_distance(self, a: Collection, b: Collection) -> Term:
-        """Of two paths, in metres. Of a path without points it is infinite: a number of which nothing is told."""
+        """Return the distance of two paths, in metres.
+
+        For a path without points it is infinite: an unknown number."""
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Choice):
+            if isinstance(one, ConditionalCollection):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
                 return t.ite(one.condition, then, orelse)
         p, q = self._point(a), self._point(b)
@@ -111,8 +117,8 @@ class Geometry:
         return self._apart(first, second)
 
     def _point(self, path: Collection) -> Triple | None:
-        one = isinstance(path, Known) and len(path.items) == 1
-        return self.lists.leaves(path.items[0]) if one and isinstance(path, Known) else None
+        one = isinstance(path, EnumeratedCollection) and len(path.items) == 1
+        return self.lists.leaves(path.items[0]) if one and isinstance(path, EnumeratedCollection) else None
 
     def _path(self, path: Collection, point: Triple | None) -> Term:
         found = self.lists.term(path)
@@ -126,18 +132,20 @@ class Geometry:
     def _apart(self, p: Term, q: Term) -> Term:
         found = self.paths.get((p, q))
         if found is None:
-            self.room.note(PATHS)
-            name = Function("path_distance@paths", (p.sort, q.sort), t.REAL)
+            self.context.note(PATHS)
+            name = FunctionSymbol("path_distance@paths", (p.sort, q.sort), t.REAL)
             (one,), (other,) = self._ordered((p,), (q,))
             found = self.paths[p, q] = self.paths[q, p] = t.apply(name, one, other)
-            with self.room.about("distance of two paths", 0):
-                self.room.fact(t.at_most(_NOTHING, found))
+            with self.context.about("distance of two paths", 0):
+                self.context.fact(t.at_most(_NOTHING, found))
                 if not self.brief:
-                    self.room.fact(t.equals(found, t.apply(name, q, p)))
+                    self.context.fact(t.equals(found, t.apply(name, q, p)))
         return found
 
     def _from_point(self, point: Triple, q: Term) -> Term | None:
-        """How far a point is from a path; None where that was not met and lemmas bring forth no more."""
+        """Return the distance of a point from a path.
+
+        None if it is new and lemmas introduce no more distances."""
         if q in self.points:
             met = point == self.points[q] or (point, self.points[q]) in self.distances
             return self._distance(point, self.points[q]) if met or not self.settled else None
@@ -151,8 +159,8 @@ class Geometry:
     # Lemmas
 
     def lemmas(self, exact: bool) -> None:
-        """What is true of the distances that were met; of all by squares, if `exact`."""
-        with self.room.about("distances of paths", 0):
+        """Add facts about the distances that occur; facts by squares about all of them if `exact`."""
+        with self.context.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
                 round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
                 if round_ in self.done:
@@ -168,8 +176,8 @@ class Geometry:
         self.settled = self.brief
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
-        """A path is not farther away than its first and its last point are; one of a single point just as far."""
-        path, fact = self.others[p], self.room.fact
+        """A path is at most as far away as its first and its last point; one of a single point exactly as far."""
+        path, fact = self.others[p], self.context.fact
         long = self.lists.length(path)
         some, one = t.less(_ZERO, long), t.equals(long, _ONE)
         first = self.lists.leaves(self.lists.element(path, _ZERO))
@@ -193,20 +201,20 @@ class Geometry:
             self._near(one, first, q, found)
 
     def _past_points(self, p: Term, q: Term, found: Term) -> None:
-        """The way from one path to another past a point is not shorter."""
+        """The distance of two paths is at most the sum of their distances from a third point."""
         for single in list(self.points) if q in self.others else ():
             there, back = self.paths.get((single, p)), self.paths.get((single, q))
             if there is not None and back is not None:
-                self.room.fact(t.at_most(found, t.add(there, back)))
+                self.context.fact(t.at_most(found, t.add(there, back)))
 
     def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
-        """A path of one point, which is near another point: how far that is from what the path is away from."""
+        """Relate the distances from a path of two points that are near each other."""
         some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
         for other, apart in list(self.neighbours.get(point, {}).items()):
             there = self._from_point(other, q)
             if there is not None:
                 bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
-                self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
+                self.context.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
 
     def _squares(self) -> None:
         for (p, q), found in list(self.distances.items()):
@@ -215,19 +223,19 @@ class Geometry:
                 gaps = [t.subtract(x, y) for x, y in zip(p, q, strict=True)]
                 squares = [t.multiply(gap, gap) for gap in gaps]
                 whole = t.add(t.add(squares[0], squares[1]), squares[2])
-                self.room.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
+                self.context.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
 
 
 def _equal(p: Triple, q: Triple) -> Term:
     return t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
 
 
-def _single(point: Triple) -> Known:
-    return Known((build(POINT, iter(point)),), list_of(POINT))
+def _single(point: Triple) -> EnumeratedCollection:
+    return EnumeratedCollection((build(POINT, iter(point)),), list_of(POINT))
 
 
 def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
-    """A point that is one or the other, by a condition."""
+    """Return a conditional point as its condition and its two alternatives; None for any other point."""
     if not all(isinstance(x, t.Op) and x.name == "ite" for x in point):
         return None
     ways = [x.args for x in point if isinstance(x, t.Op)]
@@ -237,5 +245,5 @@ def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
 
 
 def path_of(value: Val) -> Collection:
-    assert not isinstance(value, (tuple, t.Value, t.Apply, t.Op))
+    assert not isinstance(value, (tuple, t.LiteralTerm, t.Apply, t.Op))
     return value

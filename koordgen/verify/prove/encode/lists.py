@@ -1,27 +1,27 @@
-"""Lengths, elements and equality of collections, read off the way in which they were made.
+"""Lengths, elements and equality of collections, derived from how each collection was built.
 
-What nothing else is known of is a function of the term that the collection is: `List<Task>.len`, `List<Task>.at.id`.
-Where a collection becomes an argument of a function, it must be a term itself: `term`.
+An unknown length or element is a function of the collection's term: `List<Task>.len`, `List<Task>.at.id`.
+`Lists.term` makes a term of a collection that becomes an argument of a function.
 """
 
 from __future__ import annotations
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir.types import BOOL, INT, MapOf, PerRobot, Sequence, TupleOf, Type
-from koordgen.verify.prove.encode.room import Room
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.values import (
-    Changed,
-    Choice,
     Collection,
-    Fleet,
-    Known,
-    Named,
+    ConditionalCollection,
+    EnumeratedCollection,
+    FleetValue,
+    OpaqueCollection,
+    UpdatedCollection,
     Val,
+    as_term,
     is_collection,
     parts_of,
     pick,
     sort_of,
-    truth,
 )
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Sort, Term
@@ -29,7 +29,7 @@ from koordgen.verify.prove.smt.term import Sort, Term
 _ZERO, _ONE = t.integer(0), t.integer(1)
 _STEPS = {"appended": 1, "inserted": 1, "removed": -1, "without": -1, "popped": -1, "updated": 0, "sorted": 0,
           "reversed": 0, "set_without": -1, "map_without": -1, "keys": 0, "values": 0, "items": 0}  # fmt: skip
-_COLLECTIONS = (Named, Known, Choice, Changed, Fleet)
+_COLLECTIONS = (OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)
 
 
 def element_type(type_: Type) -> Type:
@@ -43,96 +43,96 @@ def element_type(type_: Type) -> Type:
 
 
 class Lists:
-    def __init__(self, room: Room) -> None:
-        self.room = room
+    def __init__(self, context: ProofContext) -> None:
+        self.context = context
         self.terms: dict[Collection, Term] = {}
-        self.fleets: dict[Term, Fleet] = {}
+        self.fleets: dict[Term, FleetValue] = {}
         self.lengths: dict[Collection, Term] = {}
-        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # a collection -> its elements that were looked at
-        self.asked: dict[Term, list[tuple[Val, Term]]] = {}  # and what was looked for in it, with the answer
+        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read
+        self.asked: dict[Term, list[tuple[Val, Term]]] = {}  # collection -> item and result of each membership test
         self.elements: dict[tuple[Collection, Term], Val] = {}
 
     def length(self, xs: Collection) -> Term:
         found = self.lengths.get(xs)
         if found is None:
-            found = self.lengths[xs] = self._long(xs) if type(xs) is Named else self._length(xs)
+            found = self.lengths[xs] = self._long(xs) if type(xs) is OpaqueCollection else self._length(xs)
         return found
 
     def _length(self, xs: Collection) -> Term:
         match xs:
-            case Fleet():
-                return self.room.size
-            case Known(items, type_) if not _unordered(type_) or len(items) < 2:
+            case FleetValue():
+                return self.context.size
+            case EnumeratedCollection(items, type_) if not _unordered(type_) or len(items) < 2:
                 return t.integer(len(items))
-            case Choice(condition, then, orelse):
+            case ConditionalCollection(condition, then, orelse):
                 return t.ite(condition, self.length(then), self.length(orelse))
-            case Changed("cleared"):
+            case UpdatedCollection("cleared"):
                 return _ZERO
-            case Changed("extended", base, (other,)):
+            case UpdatedCollection("extended", base, (other,)):
                 return t.add(self.length(base), self.length(_collection(other)))
-            case Changed(update, base) if update in _STEPS:
+            case UpdatedCollection(update, base) if update in _STEPS:
                 return t.add(self.length(base), t.integer(_STEPS[update]))
             case _:
                 return self._long(xs)
 
     def _long(self, xs: Collection) -> Term:
-        found = truth(self.room.function(f"{xs.type}.len", (self.term(xs),), INT))
-        self.room.fact(t.at_most(_ZERO, found), "no length is negative")
+        found = as_term(self.context.function(f"{xs.type}.len", (self.term(xs),), INT))
+        self.context.fact(t.at_most(_ZERO, found), "no length is negative")
         return found
 
     def element(self, xs: Collection, index: Term) -> Val:
-        """`xs[index]` of a list or queue, of a set or map in their order; any value where there is none."""
+        """Return `xs[index]`; of a set or map, in its own order. Any value if the index is out of range."""
         found = self.elements.get((xs, index))
         if found is None:
-            plain = type(xs) is Named
+            plain = type(xs) is OpaqueCollection
             found = self._read(self.term(xs), xs.type, index) if plain else self._element(xs, index)
             self.elements[xs, index] = found
         return found
 
     def _element(self, xs: Collection, index: Term) -> Val:
         match xs:
-            case Fleet(slot=slot):
-                self.room.robot(index)
+            case FleetValue(slot=slot):
+                self.context.robot(index)
                 return slot(index)
-            case Known(items, type_) if items and (not _unordered(type_) or len(items) < 2):
+            case EnumeratedCollection(items, type_) if items and (not _unordered(type_) or len(items) < 2):
                 return self._one_of(items, index)
-            case Choice(condition, then, orelse):
+            case ConditionalCollection(condition, then, orelse):
                 return pick(condition, self.element(then, index), self.element(orelse, index))
-            case Changed("updated", base, (place, value)):
-                return pick(t.equals(index, truth(place)), value, self.element(base, index))
-            case Changed("appended", base, (value,)):
+            case UpdatedCollection("updated", base, (place, value)):
+                return pick(t.equals(index, as_term(place)), value, self.element(base, index))
+            case UpdatedCollection("appended", base, (value,)):
                 return pick(t.equals(index, self.length(base)), value, self.element(base, index))
-            case Changed("popped", base):
+            case UpdatedCollection("popped", base):
                 return self.element(base, index)
-            case Changed("without" | "removed" as update, base, (what,)):
-                place = truth(what) if update == "without" else self.place(base, what)
+            case UpdatedCollection("without" | "removed" as update, base, (what,)):
+                place = as_term(what) if update == "without" else self.place(base, what)
                 later = t.add(index, _ONE)
                 return pick(t.less(index, place), self.element(base, index), self.element(base, later))
-            case Changed("extended", base, (other,)):
+            case UpdatedCollection("extended", base, (other,)):
                 many = self.length(base)
                 rest = self.element(_collection(other), t.subtract(index, many))
                 return pick(t.less(index, many), self.element(base, index), rest)
-            case Changed("inserted", base, (place, value)):
-                at = truth(place)
+            case UpdatedCollection("inserted", base, (place, value)):
+                at = as_term(place)
                 behind = pick(t.equals(index, at), value, self.element(base, t.subtract(index, _ONE)))
                 return pick(t.less(index, at), self.element(base, index), behind)
-            case Changed("reversed", base):
+            case UpdatedCollection("reversed", base):
                 return self.element(base, t.subtract(t.subtract(self.length(base), _ONE), index))
             case _:
                 return self._read(self.term(xs), xs.type, index)
 
     def _read(self, xs: Term, type_: Type, index: Term) -> Val:
-        """An element of what is but a term; it is in there."""
-        found = self.room.function(f"{type_}.at", (xs, index), element_type(type_))
+        """Return an element of an opaque collection, and note that the collection contains it."""
+        found = self.context.function(f"{type_}.at", (xs, index), element_type(type_))
         if not isinstance(type_, PerRobot):
-            self.room.element(index, robots=False, places=not _end(index))
+            self.context.element(index, robots=False, places=not _end(index))
             self.reads.setdefault(xs, []).append((index, found))
             for item, held in self.asked.get(xs, ()):
                 self._member(xs, type_, index, found, item, held)
         return found
 
     def _asked(self, xs: Term, type_: Type, item: Val) -> Term:
-        found = truth(self.room.function(f"{type_}.has", (xs, *self.leaves(item)), BOOL))
+        found = as_term(self.context.function(f"{type_}.has", (xs, *self.leaves(item)), BOOL))
         if isinstance(type_, Sequence) and (item, found) not in self.asked.get(xs, ()):
             self.asked.setdefault(xs, []).append((item, found))
             for index, element in self.reads.get(xs, ()):
@@ -140,8 +140,8 @@ class Lists:
         return found
 
     def _member(self, xs: Term, type_: Type, index: Term, element: Val, item: Val, held: Term) -> None:
-        inside = t.and_(t.at_most(_ZERO, index), t.less(index, self.length(Named(xs, type_))))
-        self.room.fact(t.implies(t.and_(inside, self.same(element, item)), held), "an element is in its list", 0)
+        inside = t.and_(t.at_most(_ZERO, index), t.less(index, self.length(OpaqueCollection(xs, type_))))
+        self.context.fact(t.implies(t.and_(inside, self.same(element, item)), held), "an element is in its list", 0)
 
     def _one_of(self, items: tuple[Val, ...], index: Term) -> Val:
         at = t.number(index)
@@ -153,47 +153,49 @@ class Lists:
         return found
 
     def place(self, xs: Collection, item: Val) -> Term:
-        """Where an item stands first, if it does."""
-        found = truth(self.room.function(f"{xs.type}.index", (self.term(xs), *self.leaves(item)), INT))
+        """Return the first place of an item, if the collection contains it; else any int."""
+        found = as_term(self.context.function(f"{xs.type}.index", (self.term(xs), *self.leaves(item)), INT))
         here = t.and_(t.at_most(_ZERO, found), t.less(found, self.length(xs)))
-        self.room.fact(t.implies(self.has(xs, item), t.and_(here, self.same(self.element(xs, found), item))), "index")
+        self.context.fact(
+            t.implies(self.has(xs, item), t.and_(here, self.same(self.element(xs, found), item))), "index"
+        )
         return found
 
     def has(self, xs: Collection, item: Val) -> Term:
-        """`item in xs`: of a map, among its keys."""
+        """Return whether a collection contains an item; for a map, whether it is a key."""
         match xs:
-            case Known(items, type_):
+            case EnumeratedCollection(items, type_):
                 keys = [pair[0] if isinstance(type_, MapOf) else pair for pair in items]  # type: ignore[index]
                 return t.any_of([self.same(key, item) for key in keys])
-            case Choice(condition, then, orelse):
+            case ConditionalCollection(condition, then, orelse):
                 return t.ite(condition, self.has(then, item), self.has(orelse, item))
-            case Changed("cleared"):
+            case UpdatedCollection("cleared"):
                 return t.FALSE
-            case Changed("appended" | "set_with" | "map_with", base, (value, *_)):
+            case UpdatedCollection("appended" | "set_with" | "map_with", base, (value, *_)):
                 return t.or_(self.same(value, item), self.has(base, item))
-            case Changed("set_without" | "map_without", base, (value,)):
+            case UpdatedCollection("set_without" | "map_without", base, (value,)):
                 return t.and_(t.not_(self.same(value, item)), self.has(base, item))
-            case Changed("sorted" | "reversed" | "keys", base):
+            case UpdatedCollection("sorted" | "reversed" | "keys", base):
                 return self.has(base, item)
-            case Changed("extended" | "union", base, (other,)):
+            case UpdatedCollection("extended" | "union", base, (other,)):
                 return t.or_(self.has(base, item), self.has(_collection(other), item))
-            case Changed("intersection", base, (other,)):
+            case UpdatedCollection("intersection", base, (other,)):
                 return t.and_(self.has(base, item), self.has(_collection(other), item))
-            case Changed("difference", base, (other,)):
+            case UpdatedCollection("difference", base, (other,)):
                 return t.and_(self.has(base, item), t.not_(self.has(_collection(other), item)))
             case _:
                 return self._asked(self.term(xs), xs.type, item)
 
     def value(self, xs: Collection, key: Val) -> Val:
-        """What a map holds under a key that it has."""
+        """Return the value of a map for a key that it has."""
         match xs:
-            case Choice(condition, then, orelse):
+            case ConditionalCollection(condition, then, orelse):
                 return pick(condition, self.value(then, key), self.value(orelse, key))
-            case Changed("map_with", base, (own, held)):
+            case UpdatedCollection("map_with", base, (own, held)):
                 return pick(self.same(own, key), held, self.value(base, key))
-            case Changed("map_without", base):
+            case UpdatedCollection("map_without", base):
                 return self.value(base, key)
-            case Known(items, MapOf()) if items:
+            case EnumeratedCollection(items, MapOf()) if items:
                 pairs = [pair for pair in items if isinstance(pair, tuple)]
                 found = pairs[0][1]
                 for own, held in pairs[1:]:
@@ -201,51 +203,53 @@ class Lists:
                 return found
             case _:
                 assert isinstance(xs.type, MapOf)
-                return self.room.function(f"{xs.type}.value", (self.term(xs), *self.leaves(key)), xs.type.value)
+                return self.context.function(f"{xs.type}.value", (self.term(xs), *self.leaves(key)), xs.type.value)
 
     # Equality
 
     def same(self, a: Val, b: Val) -> Term:
-        """`a == b` of one type."""
+        """Return `a == b` of two values of one type."""
         if a is b:
             return t.TRUE
         if isinstance(a, tuple) and isinstance(b, tuple):
             return t.all_of([self.same(x, y) for x, y in zip(a, b, strict=True)])
         if isinstance(a, _COLLECTIONS) and isinstance(b, _COLLECTIONS):
             return self._equal(a, b)
-        one, other = truth(a), truth(b)
-        if one.sort is t.INT and self.room.own in (one, other):
-            return self.room.same(other if one is self.room.own else one, one if one is self.room.own else other)
+        one, other = as_term(a), as_term(b)
+        if one.sort is t.INT and self.context.own in (one, other):
+            return self.context.same(
+                other if one is self.context.own else one, one if one is self.context.own else other
+            )
         return t.equals(one, other)
 
     def _equal(self, a: Collection, b: Collection) -> Term:
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Choice):
+            if isinstance(one, ConditionalCollection):
                 return t.ite(one.condition, self.same(one.then, other), self.same(one.orelse, other))
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Known) and (not one.items or not _unordered(one.type)):
+            if isinstance(one, EnumeratedCollection) and (not one.items or not _unordered(one.type)):
                 long = t.equals(self.length(other), t.integer(len(one.items)))
                 elements = [self.same(item, self.element(other, t.integer(i))) for i, item in enumerate(one.items)]
                 return t.and_(long, *elements)
         return t.equals(self.term(a), self.term(b))
 
-    # As arguments
+    # Terms of collections
 
     def leaves(self, value: Val) -> tuple[Term, ...]:
-        """A value as terms, each collection one of them."""
+        """Return a value as its terms, one for each collection in it."""
         if isinstance(value, tuple):
             flat: list[Term] = []
             for part in value:
-                if isinstance(part, (t.Apply, t.Op, t.Value)):
+                if isinstance(part, (t.Apply, t.Op, t.LiteralTerm)):
                     flat.append(part)
                 else:
                     flat += self.leaves(part)
             return tuple(flat)
-        return (self.term(value) if isinstance(value, _COLLECTIONS) else truth(value),)
+        return (self.term(value) if isinstance(value, _COLLECTIONS) else as_term(value),)
 
     def term(self, xs: Collection) -> Term:
-        """The term that a collection is."""
-        if isinstance(xs, Named):
+        """Return the term of a collection."""
+        if isinstance(xs, OpaqueCollection):
             return xs.term
         found = self.terms.get(xs)
         if found is None:
@@ -255,71 +259,74 @@ class Lists:
     def _term(self, xs: Collection) -> Term:
         sort = sort_of(xs.type)
         match xs:
-            case Choice(condition, then, orelse):
+            case ConditionalCollection(condition, then, orelse):
                 return t.ite(condition, self.term(then), self.term(orelse))
-            case Known(items, type_):
+            case EnumeratedCollection(items, type_):
                 found = self._made(f"{type_}.of{len(items)}", self.leaves(items), sort)
                 if not _unordered(type_):
                     self._tell(found, xs, [t.integer(i) for i in range(len(items))])
                 return found
-            case Changed(update, base, args):
+            case UpdatedCollection(update, base, args):
                 found = self._made(f"{xs.type}.{update}", (self.term(base), *self.leaves(args)), sort)
                 places = (
-                    [truth(args[0])] if update == "updated" else [self.length(base)] if update == "appended" else []
+                    [as_term(args[0])] if update == "updated" else [self.length(base)] if update == "appended" else []
                 )
                 self._tell(found, xs, places)
                 return found
-            case Fleet(name):
+            case FleetValue(name):
                 return self._fleet(name, xs, sort)
             case _:
                 raise InternalError("a name is its own term")
 
     def _made(self, name: str, args: tuple[Term, ...], sort: Sort) -> Term:
-        return t.apply(t.Function(name, tuple([a.sort for a in args]), sort), *args)
+        return t.apply(t.FunctionSymbol(name, tuple([a.sort for a in args]), sort), *args)
 
-    def _tell(self, made: Term, xs: Known | Changed, places: list[Term]) -> None:
-        """The length and some elements of what is a term from now on. Where an update has no meaning (nothing can be
-        taken from an empty list) nothing is said."""
-        named = Named(made, xs.type)
+    def _tell(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
+        """Add facts about the length and some elements of a collection that became a term.
+
+        SOUND: nothing is added where an update is undefined, as removing an element of an empty list is."""
+        named = OpaqueCollection(made, xs.type)
         possible: Term = t.TRUE
-        if isinstance(xs, Changed):
+        if isinstance(xs, UpdatedCollection):
             if xs.update not in _STEPS and xs.update not in ("cleared", "extended"):
                 return
             least = 1 if xs.update == "updated" else -_STEPS.get(xs.update, 0)
             possible = t.at_most(t.integer(least), self.length(xs.base)) if least > 0 else t.TRUE
-        with self.room.about("what a list is", 0):
-            self.room.fact(t.implies(possible, t.equals(self.length(named), self.length(xs))))
+        with self.context.about("definition of a list", 0):
+            self.context.fact(t.implies(possible, t.equals(self.length(named), self.length(xs))))
             for place in places:
                 there = t.and_(t.at_most(_ZERO, place), t.less(place, self.length(named)))
                 same = self.same(self.element(named, place), self.element(xs, place))
-                self.room.fact(t.implies(t.and_(possible, there), same))
+                self.context.fact(t.implies(t.and_(possible, there), same))
 
-    def _fleet(self, name: str, xs: Fleet, sort: Sort) -> Term:
-        """All slots of an allread variable at one moment. Two of them are equal, or differ at some robot."""
+    def _fleet(self, name: str, xs: FleetValue, sort: Sort) -> Term:
+        """Return the term of all slots of an allread variable in one state.
+
+        Two such terms are equal, or differ at some robot."""
         found: Term = t.constant(f"{name}@all", sort)
         for other, fleet in self.fleets.items():
             if other is found:
                 return found
             if other.sort is sort or other.sort == sort:
                 apart = t.constant(f"{fleet.name}@apart@{name}", t.INT)
-                self.room.robot(apart)
-                differ = t.and_(self.room.within(apart), t.not_(self.same(fleet.slot(apart), xs.slot(apart))))
-                self.room.fact(t.or_(t.equals(other, found), differ), "equal in all robots")
+                self.context.robot(apart)
+                differ = t.and_(self.context.within(apart), t.not_(self.same(fleet.slot(apart), xs.slot(apart))))
+                self.context.fact(t.or_(t.equals(other, found), differ), "equal in all robots")
         self.fleets[found] = xs
         return found
 
 
 def _end(index: Term) -> bool:
-    """Whether a place is one at a list's beginning or end."""
+    """Return whether a place is a constant distance from a list's beginning or end."""
     while isinstance(index, t.Op) and index.name == "+" and t.number(index.args[1]) is not None:
         index = index.args[0]
-    return isinstance(index, t.Value) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))
+    return isinstance(index, t.LiteralTerm) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))
 
 
 def default(type_: Type, records: dict[str, Val]) -> Val | None:
-    """What a variable of a type begins with; None where that is a value of which nothing is known."""
+    """Return the default value of a type; None if nothing is known of it."""
     if is_collection(type_):
-        return Known((), type_)
+        return EnumeratedCollection((), type_)
     name = str(type_)
     if name in records:
         return records[name]

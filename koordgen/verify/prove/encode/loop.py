@@ -1,8 +1,8 @@
-"""Loops as they stand in the program: how each is encoded, what it writes, and what its turns leave behind.
+"""Loops, analysed from the IR alone: encoding, written variables, and facts about turns.
 
-Everything here is decided from the IR alone, so that the obligations of a program can be counted without encoding it
-(`koordgen/verify/prove/obligations/count.py`). The facts about turns hold by the meaning of loops ("Loops" in
-docs/reference/semantics.md); no obligation shows them.
+Nothing in this module depends on the encoder, so that the obligations of a program can be counted without encoding it
+(`koordgen/verify/prove/obligations/count.py`). The facts about turns follow from the semantics of loops
+(docs/reference/semantics.md, "Loops"); no obligation shows them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from koordgen.lang.ir.types import MapOf, Sequence, Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.encode.state import Key
 
-FEW = 8  # turns, at most, that are encoded one by one
+MAX_UNROLLED = 8  # most turns of a loop that is unrolled
 
 Loop = stmt.For | stmt.While
-Way = Literal["unrolled", "search", "cut"]
-WayOf = Callable[[Loop], Way]
+LoopEncoding = Literal["unrolled", "search", "cut"]
+EncodingOf = Callable[[Loop], LoopEncoding]
 
 
 def key_of(place: stmt.Place) -> Key:
@@ -41,7 +41,7 @@ def key_of(place: stmt.Place) -> Key:
 
 
 def key_read(node: Node) -> Key | None:
-    """The variable that an expression is; None where it is something else."""
+    """Return the variable that an expression reads; None for any other expression."""
     match node:
         case ir.LocalRead(name):
             return "local", name
@@ -60,37 +60,40 @@ def key_read(node: Node) -> Key | None:
 # How a loop is encoded
 
 
-def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
-    """How a loop of an event or of `init` is encoded. `known`: the params with fixed values; `robots`: how many there
-    are, where each is spoken of by its number.
+def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> LoopEncoding:
+    """Return the encoding of a loop of an event or of `init`.
 
-    unrolled: a `for` over at most FEW elements whose number the program tells, without invariants at its head.
-    search: a `for` whose turns write nothing that a later turn can read; the first element that leaves it decides.
-    cut: any other loop. What it writes may be anything that its invariants and the facts about turns allow.
+    `known`: the params with fixed values; `robots`: the number of robots if each is named by its number, else None.
+
+    unrolled: a `for` without invariants over at most MAX_UNROLLED elements, whose number is constant in the program.
+    search: a `for` whose turns write nothing that a later turn can read. The first element that leaves it decides.
+    cut: any other loop. What it writes is havocked, then constrained by its invariants and the facts about turns.
     """
     if isinstance(loop, stmt.For) and not loop.invariants:
         many = length(loop.values, known, robots)
-        if many is not None and many <= FEW:
+        if many is not None and many <= MAX_UNROLLED:
             return "unrolled"
         inner = [s for s in statements(loop.block) if isinstance(s, (stmt.For, stmt.While))]
-        if is_search(loop) and all(way_of(n, known, robots) != "cut" for n in inner):
+        if is_search(loop) and all(encoding_of(n, known, robots) != "cut" for n in inner):
             return "search"
     return "cut"
 
 
 def has_loop(block: stmt.Block) -> bool:
-    """Return whether a block has a loop: it is encoded even where nothing gets there, so that the obligations of a
-    program do not depend on what the encoder sees to be impossible."""
+    """Return whether a block contains a loop.
+
+    Such a block is encoded even if it is unreachable, so that the number of obligations does not depend on what the
+    encoder finds to be impossible."""
     return any(isinstance(s, (stmt.For, stmt.While)) for s in statements(block))
 
 
 def is_search(loop: stmt.For) -> bool:
-    """True if no turn leaves anything behind for the next one, and the program states no invariant of the loop."""
-    return not kept_by(loop) and not loop.invariants
+    """Return whether a loop has no loop-carried variable and the program states no invariant of it."""
+    return not loop_carried(loop) and not loop.invariants
 
 
 def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
-    """How many elements a `for` goes through; None where the program does not tell."""
+    """Return the number of elements of a `for`; None if it is no constant of the program."""
     match values:
         case ir.Range(start, stop, step):
             low, high = (whole(bound, known, robots) for bound in (start, stop))
@@ -104,7 +107,7 @@ def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) ->
 
 
 def whole(node: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
-    """The value of a constant int expression; None where the program does not tell."""
+    """Return the value of a constant int expression; None for any other expression."""
     match node:
         case ir.Const(int() as value):
             return value
@@ -126,17 +129,18 @@ def is_unordered(type_: Type) -> bool:
     return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")
 
 
-# What a loop writes
+# Variables that a loop writes
 
 
 def written(block: stmt.Block) -> dict[Key, None]:
-    """Return the variables that a block may write, on any way."""
+    """Return the variables that a block may write, on any path."""
     return {key_of(statement.place): None for statement in statements(block) if isinstance(statement, stmt.Assign)}
 
 
-def kept_by(loop: Loop) -> dict[Key, None]:
-    """Return what a turn may write on a way to the next turn: not what it writes before it leaves the loop, and none of
-    the loop's own variables."""
+def loop_carried(loop: Loop) -> dict[Key, None]:
+    """Return the loop-carried variables: those that a turn may write on a path to the next turn.
+
+    Not included: what a turn writes before it leaves the loop, and the loop's own variables."""
     own = set(temps_of(loop.block))
     if isinstance(loop, stmt.For):
         own.update(loop.names)
@@ -144,16 +148,17 @@ def kept_by(loop: Loop) -> dict[Key, None]:
 
 
 def has_next_turn(loop: Loop) -> bool:
-    """Return whether some way through the block leads to the loop's head again."""
+    """Return whether some path through the block leads to the loop's head again."""
     _, ends, continues = _kept(loop.block)
     return ends or continues
 
 
 def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
-    """Return what is written on the ways to the block's end or a `continue`; whether the end is reached, and whether a
-    `continue` is."""
-    so_far: dict[Key, None] = {}  # on ways that reach this statement
-    continued: dict[Key, None] = {}  # on ways that ended in a `continue`
+    """Return the variables written before the block's end or a `continue`, and two facts.
+
+    The second value is whether some path reaches the block's end, the third whether some path reaches a `continue`."""
+    so_far: dict[Key, None] = {}  # on paths that reach this statement
+    continued: dict[Key, None] = {}  # on paths that ended in a `continue`
     continues = False
     for statement in block:
         match statement:
@@ -183,7 +188,7 @@ def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
 
 
 def temps_of(block: stmt.Block) -> dict[str, Type]:
-    """The types of the variables that a block declares itself."""
+    """Return the types of the variables that a block declares itself."""
     found: dict[str, Type] = {}
     for statement in statements(block):
         if isinstance(statement, stmt.Let):
@@ -193,15 +198,15 @@ def temps_of(block: stmt.Block) -> dict[str, Type]:
     return found
 
 
-def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
-    """Return whether a value behind the loop depends on which element left it."""
+def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
+    """Return whether a value after the loop depends on which element left it."""
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
                 if any(isinstance(n, ir.TempRead) and n.name in names for n in walk(value)):
                     return True
             case stmt.If(_, then, orelse):
-                if tells(then, names) or tells(orelse, names):
+                if exposes_element(then, names) or exposes_element(orelse, names):
                     return True
             case stmt.For() | stmt.While() | stmt.Let():
                 return True
@@ -212,15 +217,15 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
     return False
 
 
-# What turns leave behind
+# Writes by the turns of a loop
 
 
-class Write(NamedTuple):
-    """The only statement of a loop that writes a variable, outside of inner loops.
+class LoopWrite(NamedTuple):
+    """A statement that writes a variable in a loop, outside of inner loops.
 
-    `guards`: the conditions under which it runs, each with whether it holds. `lets`: the loop's own variables that
-    stand before it. `group`: statements of one group run in the same turns. `sure`: nothing before it leaves the turn,
-    so that it runs in each turn in which its guards hold."""
+    `guards`: the conditions around it, each with the value that it must have. `lets`: the declarations of the loop's
+    own variables before it. `group`: statements of one group run in the same turns. `sure`: nothing before it leaves
+    the turn, so it runs in each turn in which its guards hold."""
 
     key: Key
     value: ir.Expr
@@ -230,14 +235,14 @@ class Write(NamedTuple):
     sure: bool
 
 
-class Writes:
-    """The statements by which the block of a loop writes, as far as the shape of the block tells."""
+class LoopWrites:
+    """Statements by which the block of a loop writes its variables, found by the shape of the block."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         self.changed = written(loop.block)
         self.opaque: set[Key] = set()  # written in inner loops
-        self.all: list[Write] = []
+        self.all: list[LoopWrite] = []
         self._walk(loop.block, (), (), True)
 
     def _walk(
@@ -247,7 +252,7 @@ class Writes:
         for statement in block:
             match statement:
                 case stmt.Assign(place, value):
-                    write = Write(key_of(place), value, guards, lets, (id(block), segment), sure)
+                    write = LoopWrite(key_of(place), value, guards, lets, (id(block), segment), sure)
                     self.all.append(write)
                 case stmt.Let():
                     lets = (*lets, statement)
@@ -265,18 +270,19 @@ class Writes:
                 case _:
                     assert_never(statement)
 
-    def of(self, key: Key) -> list[Write]:
-        """The statements that write a variable; none where an inner loop writes it, too."""
+    def of(self, key: Key) -> list[LoopWrite]:
+        """Return the statements that write a variable; none if an inner loop writes it, too."""
         return [] if key in self.opaque else [write for write in self.all if write.key == key]
 
-    def only(self, key: Key) -> Write | None:
-        """The statement that alone writes a variable."""
+    def only(self, key: Key) -> LoopWrite | None:
+        """Return the only statement that writes a variable; None if there are several."""
         found = self.of(key)
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Return whether a value depends on nothing but the element of its turn (if `element`) and on what the loop
-        leaves alone."""
+        """Return whether a value is independent of what the loop writes.
+
+        It may depend on variables that the loop does not write and, if `element`, on the element of its turn."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
         for part in walk(node):
@@ -303,8 +309,8 @@ def leaves(part: stmt.Stmt) -> bool:
     return any(isinstance(s, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for s in statements((part,)))
 
 
-def step_of(write: Write) -> int | None:
-    """The constant that a statement adds to its own variable; None where it does something else."""
+def step_of(write: LoopWrite) -> int | None:
+    """Return the constant that a statement adds to its own variable; None for any other statement."""
     match write.value:
         case ir.Binary("+" | "-" as op, left, right):
             if key_read(left) == write.key:
@@ -315,36 +321,38 @@ def step_of(write: Write) -> int | None:
     return None
 
 
-class Bound(NamedTuple):
-    """A statement that keeps the least (or greatest) value of an expression over the turns in which `guards` hold."""
+class RunningExtreme(NamedTuple):
+    """Statement that keeps the least or greatest value over the turns in which `guards` hold."""
 
-    write: Write
+    write: LoopWrite
     value: ir.Expr
     guards: tuple[tuple[ir.Expr, bool], ...]
     least: bool
 
 
-def bound_of(write: Write) -> Bound | None:
-    """`if value < v: v = value`, or `v = min(v, value)`; likewise the greatest."""
+def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
+    """Recognise a statement that keeps the least or greatest value; None for others.
+
+    Its forms are `if value < v: v = value` and `v = min(v, value)`, and likewise for the greatest."""
     match write.value:
         case ir.Builtin("min" | "max" as name, (left, right)):
             for own, other in ((left, right), (right, left)):
                 if key_read(own) == write.key:
-                    return Bound(write, other, write.guards, name == "min")
+                    return RunningExtreme(write, other, write.guards, name == "min")
     for place, (condition, held) in enumerate(write.guards):
         if not held or not isinstance(condition, ir.Compare) or condition.op not in ("<", "<=", ">", ">="):
             continue
         less = condition.op in ("<", "<=")
         rest = write.guards[:place] + write.guards[place + 1 :]
         if condition.left == write.value and key_read(condition.right) == write.key:
-            return Bound(write, write.value, rest, less)
+            return RunningExtreme(write, write.value, rest, less)
         if condition.right == write.value and key_read(condition.left) == write.key:
-            return Bound(write, write.value, rest, not less)
+            return RunningExtreme(write, write.value, rest, not less)
     return None
 
 
 def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
-    """The parts of a conjunction, from left to right."""
+    """Yield the parts of a conjunction, from left to right."""
     if isinstance(formula, ir.Logic) and formula.op == "and":
         yield from conjuncts(formula.left)
         yield from conjuncts(formula.right)

@@ -1,4 +1,4 @@
-"""Quantifiers, and what loops run over."""
+"""Quantifiers, and the domains over which quantifiers and loops run."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import Part, walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence, Type
+from koordgen.verify.prove.encode.context import ProofContext
 from koordgen.verify.prove.encode.encoder import ExprEncoder, Scope
 from koordgen.verify.prove.encode.geometry import path_of
-from koordgen.verify.prove.encode.room import Room
-from koordgen.verify.prove.encode.values import Fleet, Known, Val
+from koordgen.verify.prove.encode.values import EnumeratedCollection, FleetValue, Val
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
-_EXPANDED = 8  # a domain of at most so many elements is gone through one by one
+_EXPANDED = 8  # largest domain whose elements are enumerated
 
 
-class Domain(NamedTuple):
-    """`inside`: whether an int is a place in it; `element`: what is there; `few`: all elements, where they are few.
-    `robots`, `places`: what its places are. Its places are `start`, `start + step` and so on, before `stop`."""
+class IterationDomain(NamedTuple):
+    """Domain of a quantifier or a `for`.
+
+    Its places are ints: `start`, `start + step` and so on, before `stop`. `inside`: whether an int is a place of it;
+    `element`: the element at a place; `listed`: all elements, if they can be enumerated. `robots`, `places`: whether
+    its places may name robots, or be places in lists."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
-    few: list[Val] | None
+    listed: list[Val] | None
     robots: bool
     places: bool
     start: Term
@@ -34,32 +37,31 @@ class Domain(NamedTuple):
     step: int
 
     def ahead(self, index: Term) -> Term:
-        """Return that a loop which has come to this place has an element left."""
+        """Return that a loop at this place has an element left."""
         return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
 
     def not_after(self, a: Term, b: Term) -> Term:
-        """Return that a place comes before another one, or is that one."""
+        """Return that place `a` comes before `b` or is the same."""
         return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
 
     def passed(self, index: Term, head: Term) -> Term:
-        """Return that a loop which has come to `head` has gone through a place."""
+        """Return that a loop at place `head` has already gone through the place `index`."""
         before = t.less(index, head) if self.step > 0 else t.less(head, index)
         reached = self.not_after(self.start, index)
         return t.all_of([before, reached, *self.on_grid(index)])
 
     def on_grid(self, index: Term) -> list[Term]:
-        """Return that a number is `start` plus some steps; nothing for a step of 1 or -1."""
+        """Return that an int is `start` plus a multiple of `step`; an empty list for a step of 1 or -1."""
         if abs(self.step) == 1:
             return []
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
 def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
-    """As a truth value of its own, which every instance that is looked at agrees with.
+    """Encode a quantifier as a truth value that agrees with every instance that is built.
 
-    Where it is to be shown (`e.strict`), that all instances have a value is demanded: `not exists` is no value, and not
-    true, where an instance has none. SOUND: that is more than the semantics asks for, which stops at the first instance
-    that decides."""
+    If `e.strict`, it demands that all instances have values: `not exists` has no value, and is not true, if an instance
+    has none. SOUND: this demands more than the semantics, which stops at the first instance that decides."""
     every = node.kind == "forall"
     over = domain(e, node.domain, scope, node.body, node.name)
     temps, strict = dict(scope.temps), e.strict
@@ -68,7 +70,7 @@ def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
         kept, scope.temps = scope.temps, {**temps, node.name: element}
         around, e.strict = e.strict, strict
         try:
-            with e.room.grant(element if isinstance(node.domain, ir.Ids) else None):
+            with e.context.grant(element if isinstance(node.domain, ir.Ids) else None):
                 return e.parts(node.body, scope)
         finally:
             scope.temps, e.strict = kept, around
@@ -79,20 +81,20 @@ def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
     def has_value(index: Term) -> Term:
         return t.implies(over.inside(index), evaluated(over.element(index))[0])
 
-    if e.strict and over.few is not None:
-        e.room.demand(t.all_of([evaluated(element)[0] for element in over.few]), "instances", node.span.line)
+    if e.strict and over.listed is not None:
+        e.context.demand(t.all_of([evaluated(element)[0] for element in over.listed]), "instances", node.span.line)
     elif e.strict and _may_fail(e, node, scope):
-        has = proxy(e.room, has_value, node.name, over.robots, over.places)
-        e.room.demand(has, "instances", node.span.line)
-    if over.few is not None:
-        parts = [holds(element) for element in over.few]
+        has = proxy(e.context, has_value, node.name, over.robots, over.places)
+        e.context.demand(has, "instances", node.span.line)
+    if over.listed is not None:
+        parts = [holds(element) for element in over.listed]
         return t.all_of(parts) if every else t.any_of(parts)
 
     def instance(index: Term) -> Term:
         held = holds(over.element(index))
         return t.implies(over.inside(index), held if every else t.not_(held))
 
-    found = proxy(e.room, instance, node.name, over.robots, over.places)
+    found = proxy(e.context, instance, node.name, over.robots, over.places)
     return found if every else t.not_(found)
 
 
@@ -103,12 +105,12 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 
 
 def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
-    """Return whether an instance may have no value, as far as its operations tell."""
+    """Return whether an instance may have no value, judged by its operations alone."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
             named.add(part.name)
-    named.update(name for name, value in scope.temps.items() if value in e.room.granted and name != node.name)
+    named.update(name for name, value in scope.temps.items() if value in e.context.granted and name != node.name)
     for part in walk(node.body):
         match part:
             case ir.Binary(op) if op in _PARTIAL:
@@ -125,54 +127,64 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
     return False
 
 
-def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
-    """A truth value: whether every instance holds."""
-    some = room.new(name, t.INT)
+def proxy(
+    context: ProofContext, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False
+) -> Term:
+    """Return a truth value that is equivalent to the truth of every instance.
+
+    One direction is a witness `some` for which the instance fails if the value is false. The other is instantiated."""
+    some = context.new(name, t.INT)
     first = instance(some)
-    found = room.new(f"forall {name}", t.BOOL)
-    room.element(some, robots, places)
-    room.fact(t.or_(found, t.not_(first)), "one of which it does not hold")
-    room.for_all(lambda index: t.implies(found, instance(index)), robots, places)
+    found = context.new(f"forall {name}", t.BOOL)
+    context.element(some, robots, places)
+    context.fact(t.or_(found, t.not_(first)), "a witness for which it does not hold")
+    context.for_all(lambda index: t.implies(found, instance(index)), robots, places)
     return found
 
 
-def in_fleet(e: ExprEncoder, xs: Fleet, item: Val) -> Term:
-    """Whether a robot has that."""
-    room = e.room
+def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
+    """Return whether some robot's value is this item."""
+    context = e.context
     key = (xs.name, *e.lists.leaves(item))
-    if key not in room.nowhere:
-        room.nowhere[key] = proxy(
-            room, lambda index: t.implies(room.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
+    if key not in context.absent:
+        context.absent[key] = proxy(
+            context, lambda index: t.implies(context.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
         )
-    return t.not_(room.nowhere[key])
+    return t.not_(context.absent[key])
 
 
-def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> Domain:
-    """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
+def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> IterationDomain:
+    """Return the domain of a quantifier or a loop. `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
-    few = None
-    if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
-        few = [_key(item, node.type) for item in xs.items]
-    room, long, fleet = e.room, e.lists.length(xs), isinstance(xs, Fleet)
+    listed = None
+    if (
+        isinstance(xs, EnumeratedCollection)
+        and len(xs.items) <= _EXPANDED
+        and (len(xs.items) < 2 or not _unordered(node.type))
+    ):
+        listed = [_key(item, node.type) for item in xs.items]
+    context, long, fleet = e.context, e.lists.length(xs), isinstance(xs, FleetValue)
 
     def inside(index: Term) -> Term:
-        if fleet and room.indices.get(index, False):
+        if fleet and context.indices.get(index, False):
             return t.TRUE
         return t.and_(t.at_most(_ZERO, index), t.less(index, long))
 
-    return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
+    return IterationDomain(
+        inside, lambda i: _key(e.lists.element(xs, i), node.type), listed, fleet, not fleet, _ZERO, long, 1
+    )
 
 
-def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) -> Domain:
+def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) -> IterationDomain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
-    if stop is e.room.size and e.room.robots is None:
-        high = None  # robots are not gone through one by one
-    few: list[Val] | None = None
+    if stop is e.context.size and e.context.robots is None:
+        high = None  # robots without numbers are never enumerated
+    listed: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
-        few = [t.integer(i) for i in range(int(low), int(high), node.step)]
+        listed = [t.integer(i) for i in range(int(low), int(high), node.step)]
     first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
     step = t.integer(abs(node.step))
 
@@ -182,9 +194,9 @@ def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) 
             return within
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
-    whole = start is _ZERO and stop is e.room.size
-    robots = names_robots(body, name) or _speaks_of(start, e.room.size) or _speaks_of(stop, e.room.size)
-    return Domain(inside, _int, few, robots, not whole, start, stop, node.step)
+    whole = start is _ZERO and stop is e.context.size
+    robots = names_robots(body, name) or _speaks_of(start, e.context.size) or _speaks_of(stop, e.context.size)
+    return IterationDomain(inside, _int, listed, robots, not whole, start, stop, node.step)
 
 
 def _speaks_of(term: Term, part: Term) -> bool:
@@ -192,7 +204,9 @@ def _speaks_of(term: Term, part: Term) -> bool:
 
 
 def names_robots(body: Part, name: str) -> bool:
-    """Return whether a number may be used as the index of a robot; a number that is handed on may."""
+    """Return whether an int may be used as the index of a robot.
+
+    SOUND: one that is passed on counts as used so."""
     for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
@@ -215,7 +229,7 @@ def _int(index: Term) -> Val:
 
 
 def _key(item: Val, type_: Type) -> Val:
-    """Of a map one goes through the keys."""
+    """Return the element over which a loop runs: of a map, its key."""
     if isinstance(type_, MapOf):
         assert isinstance(item, tuple)
         return item[0]

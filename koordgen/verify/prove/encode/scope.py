@@ -1,23 +1,23 @@
-"""What names mean in a property, and in a port assumption of one robot."""
+"""Scopes of names in a property of the fleet, and in an assumption about the ports of one robot."""
 
 from __future__ import annotations
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
-from koordgen.verify.prove.encode.state import State, slots
-from koordgen.verify.prove.encode.values import Fleet, Val
+from koordgen.verify.prove.encode.state import SymbolicState, slots
+from koordgen.verify.prove.encode.values import FleetValue, Val
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 
-class NotHere(Exception):
-    """An assumption asks a callable port of which nothing is known here."""
+class UnknownAnswer(Exception):
+    """An assumption asks a callable port whose answer is unknown in this scope."""
 
 
-class OfFleet:
-    """A property: over the shared store, every robot's locals and ports."""
+class FleetScope:
+    """Scope of a property: the shared store, and every robot's locals and ports."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: SymbolicState) -> None:
         self.state = state
         self.pid = t.integer(-1)
         self.temps: dict[str, Val] = {}
@@ -25,7 +25,7 @@ class OfFleet:
     def slot(self, name: str, index: Term) -> Val:
         return self.state.of(("slot", name), index)
 
-    def slots(self, name: str) -> Fleet:
+    def slots(self, name: str) -> FleetValue:
         return slots(self.state, name)
 
     def cell(self, name: str) -> Val:
@@ -38,21 +38,23 @@ class OfFleet:
         return self.state.of(("port", name), robot)
 
     def local(self, name: str) -> Val:
-        raise InternalError("a property says whose")
+        raise InternalError("a property reads a local without naming its robot")
 
     def port(self, name: str, primed: bool) -> Val:
-        raise InternalError("a property says whose")
+        raise InternalError("a property reads a port without naming its robot")
 
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-        raise NotHere
+        raise UnknownAnswer
 
 
-class OfRobot(OfFleet):
-    """An assumption about one robot: its ports before and at a moment of the delta that follows. `answers`: what its
-    callable ports said, by the arguments."""
+class RobotScope(FleetScope):
+    """Scope of an assumption about one robot.
+
+    Its ports are those before a step, its primed ports those at an instant of the step. `answers`: answers of its
+    callable ports, by port and arguments."""
 
     def __init__(
-        self, before: State, after: State, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]
+        self, before: SymbolicState, after: SymbolicState, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]
     ) -> None:
         super().__init__(before)
         self.after, self.pid, self.answers = after, robot, answers
@@ -63,5 +65,5 @@ class OfRobot(OfFleet):
     def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
         found = self.answers.get((f"{node.module}.{node.port}", args))
         if found is None:
-            raise NotHere
+            raise UnknownAnswer
         return found

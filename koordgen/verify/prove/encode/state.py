@@ -1,4 +1,4 @@
-"""The fleet's state as terms: per robot, uninterpreted functions of its index; what an event writes, on top of them."""
+"""States of the fleet as terms: functions of the robot's index, overlaid by an event's writes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Protocol
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.ports import clearable
 from koordgen.lang.ir.types import PerRobot, Type
-from koordgen.verify.prove.encode.room import Room, symbol, symbols
-from koordgen.verify.prove.encode.values import Fleet, Val, pick
+from koordgen.verify.prove.encode.context import ProofContext, symbol, symbols
+from koordgen.verify.prove.encode.values import FleetValue, Val, pick
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.term import Function, Term
+from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
-# "local", "slot", "cell", "port" and a name; a port's is "Module.port". "temp" and "wrote" (whether a cell was
-# written) are a run's own.
+# Kind and name of a variable. Kinds: "local", "slot", "cell", "port" (named "Module.port"); and of one run only "temp"
+# and "wrote" (whether a cell or port was written).
 Key = tuple[str, str]
 
 
 def declared(program: Program) -> dict[Key, Type]:
-    """Everything that a state holds, with its type."""
+    """Return all variables of a state, with their types."""
     found: dict[Key, Type] = {("local", v.name): v.type for v in program.locals}
     found.update({("slot" if v.kind == "allread" else "cell", v.name): v.type for v in program.shared})
     for module in program.modules:
@@ -30,7 +30,7 @@ def declared(program: Program) -> dict[Key, Type]:
 
 
 def cleared(program: Program) -> frozenset[Key]:
-    """The sensors that an event changes, too, since its commands clear them."""
+    """Return the sensors that an event changes because its commands clear them."""
     return frozenset([("port", sensor) for sensor in clearable(program)])
 
 
@@ -39,36 +39,42 @@ def sensors(program: Program) -> frozenset[Key]:
     return frozenset([("port", f"{m.name}.{p.name}") for m, p in ports])
 
 
-class State(Protocol):
-    """A moment. `of` reads what a robot has of its own, or a cell, whatever the index."""
+class SymbolicState(Protocol):
+    """One state of the fleet.
+
+    `of` reads a robot's variable, or a cell whatever the index. `state_name`: its name."""
 
     @property
     def types(self) -> Mapping[Key, Type]: ...
 
     @property
-    def moment(self) -> str: ...
+    def state_name(self) -> str: ...
 
     def of(self, key: Key, robot: Term) -> Val: ...
 
 
-def slots(state: State, name: str) -> Fleet:
-    """An allread variable as a whole; the same where nobody wrote it in between."""
+def slots(state: SymbolicState, name: str) -> FleetValue:
+    """Return an allread variable as a whole.
+
+    States between which nobody wrote the variable give the same value."""
     key = ("slot", name)
-    while (isinstance(state, Written) and key not in state.writes) or (isinstance(state, Moved)):
+    while (isinstance(state, UpdatedState) and key not in state.writes) or (isinstance(state, HavockedState)):
         state = state.before
     changed = None
-    if isinstance(state, Written):
+    if isinstance(state, UpdatedState):
         changed = slots(state.before, name), state.own, state.writes[key]
-    return Fleet(f"{name}{state.moment}", lambda robot: state.of(key, robot), PerRobot(state.types[key]), changed)
+    return FleetValue(
+        f"{name}{state.state_name}", lambda robot: state.of(key, robot), PerRobot(state.types[key]), changed
+    )
 
 
-class Free:
-    """Any state; `moment` marks its symbols."""
+class ArbitraryState:
+    """Arbitrary state; `state_name` is the suffix of its symbols."""
 
-    def __init__(self, room: Room, types: Mapping[Key, Type], moment: str = "") -> None:
-        self.room, self.types, self.moment = room, types, moment
+    def __init__(self, context: ProofContext, types: Mapping[Key, Type], state_name: str = "") -> None:
+        self.context, self.types, self.state_name = context, types, state_name
         self.read: dict[tuple[Key, Term], Val] = {}
-        self.symbols: dict[Key, list[Function]] = {}
+        self.symbols: dict[Key, list[FunctionSymbol]] = {}
 
     def of(self, key: Key, robot: Term) -> Val:
         found = self.read.get((key, robot))
@@ -76,18 +82,19 @@ class Free:
             type_, args = self.types[key], () if key[0] == "cell" else (robot,)
             functions = self.symbols.get(key)
             if functions is None:
-                functions = self.symbols[key] = symbols(symbol(key[1]) + self.moment, args, type_)
-            found = self.read[key, robot] = self.room.applied(functions, args, type_)
+                functions = self.symbols[key] = symbols(symbol(key[1]) + self.state_name, args, type_)
+            found = self.read[key, robot] = self.context.applied(functions, args, type_)
         return found
 
 
-class Begun:
-    """The round's start, as the robot `own` sees it in the round: what only it writes, and the sensors in `shared`, are
-    as they are; `other` is all else."""
+class RoundStart:
+    """State at the round's start as the robot `own` sees it within the round.
 
-    def __init__(self, now: State, other: Free, own: Term, shared: frozenset[Key]) -> None:
+    What only `own` writes, and the sensors in `shared`, are as in the state `now`; everything else is as in `other`."""
+
+    def __init__(self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared
-        self.types, self.moment = now.types, "@start"
+        self.types, self.state_name = now.types, "@start"
         self.used = False
 
     def of(self, key: Key, robot: Term) -> Val:
@@ -96,36 +103,38 @@ class Begun:
         self.used = True
         if key[0] == "cell":
             return self.other.of(key, robot)
-        own = self.other.room.same(robot, self.own)
-        if isinstance(own, t.Value):
+        own = self.other.context.same(robot, self.own)
+        if isinstance(own, t.LiteralTerm):
             return (self.now if own.value else self.other).of(key, robot)
         return pick(own, self.now.of(key, robot), self.other.of(key, robot))
 
 
-class Written:
-    """A state after what one robot wrote."""
+class UpdatedState:
+    """State after one robot's writes."""
 
-    def __init__(self, room: Room, before: State, own: Term, writes: Mapping[Key, Val], moment: str) -> None:
-        self.room, self.before, self.own, self.writes = room, before, own, writes
-        self.types, self.moment = before.types, moment
+    def __init__(
+        self, context: ProofContext, before: SymbolicState, own: Term, writes: Mapping[Key, Val], state_name: str
+    ) -> None:
+        self.context, self.before, self.own, self.writes = context, before, own, writes
+        self.types, self.state_name = before.types, state_name
 
     def of(self, key: Key, robot: Term) -> Val:
         if key not in self.writes:
             return self.before.of(key, robot)
         if key[0] == "cell":
             return self.writes[key]
-        own = self.room.same(robot, self.own)
-        if isinstance(own, t.Value):
+        own = self.context.same(robot, self.own)
+        if isinstance(own, t.LiteralTerm):
             return self.writes[key] if own.value else self.before.of(key, robot)
         return pick(own, self.writes[key], self.before.of(key, robot))
 
 
-class Moved:
-    """A state after some of its variables (the sensors) took any values, of all robots."""
+class HavockedState:
+    """State after a havoc of some variables (the sensors) of all robots."""
 
-    def __init__(self, before: State, after: Free, moved: frozenset[Key]) -> None:
+    def __init__(self, before: SymbolicState, after: ArbitraryState, moved: frozenset[Key]) -> None:
         self.before, self.after, self.moved = before, after, moved
-        self.types, self.moment = before.types, "@after"
+        self.types, self.state_name = before.types, "@after"
 
     def of(self, key: Key, robot: Term) -> Val:
         return (self.after if key in self.moved else self.before).of(key, robot)

@@ -1,7 +1,7 @@
-"""Koord's values while a program is run on symbols: a term, a tuple of parts, or a collection.
+"""Symbolic values of Koord's types: a term, a tuple of parts, or a collection.
 
-A collection keeps how it was made, so that its length and its elements are told where they are asked for, and no axiom
-about lists is ever needed.
+A collection records how it was built, so that its length and elements can be derived on demand. Axioms about lists are
+never needed.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Sort, Term
 
 
-class Named(Node):
-    """A collection of which nothing is known but the term that it is."""
+class OpaqueCollection(Node):
+    """Collection of which only its term is known."""
 
     term: Term
     type: Type
@@ -38,8 +38,8 @@ class Named(Node):
     __hash__ = object.__hash__
 
 
-class Known(Node):
-    """The collection of these elements: of a map, pairs. Sets and maps are in no order here."""
+class EnumeratedCollection(Node):
+    """Collection of these elements; for a map, pairs. Sets and maps have no order here."""
 
     items: tuple[Val, ...]
     type: Type
@@ -47,8 +47,8 @@ class Known(Node):
     __hash__ = object.__hash__
 
 
-class Choice(Node):
-    """The one collection or the other."""
+class ConditionalCollection(Node):
+    """One of two collections, by a condition."""
 
     condition: Term
     then: Collection
@@ -58,8 +58,8 @@ class Choice(Node):
     __hash__ = object.__hash__
 
 
-class Changed(Node):
-    """A collection after an update of koordgen/lang/ir/builtins.py ("appended", "updated") with these arguments."""
+class UpdatedCollection(Node):
+    """Collection after an update of koordgen/lang/ir/builtins.py, such as "appended"."""
 
     update: str
     base: Collection
@@ -69,19 +69,21 @@ class Changed(Node):
     __hash__ = object.__hash__
 
 
-class Fleet(Node):
-    """One value a robot, as a whole: `slot` reads one; `name` tells the variable and the moment. `changed`: it is
-    another one but for what one robot has there."""
+class FleetValue(Node):
+    """One value per robot, as a whole.
+
+    `slot` reads one robot's value; `name` identifies the variable and the state. `changed`: another such value, a
+    robot, and the only value in which it differs, that robot's."""
 
     name: str
     slot: Callable[[Term], Val]
     type: Type
-    changed: tuple[Fleet, Term, Val] | None = None
+    changed: tuple[FleetValue, Term, Val] | None = None
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
 
-Collection = Named | Known | Choice | Changed | Fleet
+Collection = OpaqueCollection | EnumeratedCollection | ConditionalCollection | UpdatedCollection | FleetValue
 Val = Term | tuple["Val", ...] | Collection
 
 
@@ -90,36 +92,42 @@ def is_collection(type_: Type) -> bool:
 
 
 def pick(condition: Term, then: Val, orelse: Val) -> Val:
-    """The one value or the other, of one type."""
+    """Return one of two values of one type, by a condition."""
     if condition is t.TRUE or then is orelse:
         return then
     if condition is t.FALSE:
         return orelse
     if isinstance(then, tuple) and isinstance(orelse, tuple):
         return tuple([pick(condition, a, b) for a, b in zip(then, orelse, strict=True)])
-    if isinstance(then, (Named, Known, Choice, Changed, Fleet)):
-        assert isinstance(orelse, (Named, Known, Choice, Changed, Fleet))
-        if isinstance(then, Choice) and then.condition is condition:
+    if isinstance(then, (OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)):
+        assert isinstance(
+            orelse, (OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)
+        )
+        if isinstance(then, ConditionalCollection) and then.condition is condition:
             then = then.then
-        if isinstance(orelse, Choice) and orelse.condition is condition:
+        if isinstance(orelse, ConditionalCollection) and orelse.condition is condition:
             orelse = orelse.orelse
-        if then is orelse or (isinstance(then, Named) and isinstance(orelse, Named) and then.term is orelse.term):
+        if then is orelse or (
+            isinstance(then, OpaqueCollection) and isinstance(orelse, OpaqueCollection) and then.term is orelse.term
+        ):
             return then
-        return Choice(condition, then, orelse, then.type)
-    assert not isinstance(orelse, (tuple, Named, Known, Choice, Changed, Fleet))
+        return ConditionalCollection(condition, then, orelse, then.type)
+    assert not isinstance(
+        orelse, (tuple, OpaqueCollection, EnumeratedCollection, ConditionalCollection, UpdatedCollection, FleetValue)
+    )
     assert not isinstance(then, tuple)
     return t.ite(condition, then, orelse)
 
 
-def truth(value: Val) -> Term:
-    """A value that is a term."""
-    assert isinstance(value, (t.Value, t.Apply, t.Op)), f"{value!r} is no term"
+def as_term(value: Val) -> Term:
+    """Return a value that is known to be a term."""
+    assert isinstance(value, (t.LiteralTerm, t.Apply, t.Op)), f"{value!r} is no term"
     return value
 
 
-# Koord's types as sorts: what has parts is flattened, what varies in length is one value of a sort of its own.
+# Koord's types as sorts: a type with parts is flattened, a value of variable length is one value of its own sort.
 
-Leaf = tuple[str, Sort]  # of a value: the suffix of its symbol, ".target.x", and its sort
+Leaf = tuple[str, Sort]  # suffix of the symbol of one part of a value (".target.x"), and its sort
 _PLAIN: dict[Type, Sort] = {INT: t.INT, FLOAT: t.REAL, BOOL: t.BOOL}
 _PARTS: dict[Type, tuple[tuple[str, Type], ...]] = {
     POINT: (("x", FLOAT), ("y", FLOAT), ("z", FLOAT)),
@@ -132,7 +140,7 @@ _SHAPES: dict[str, tuple[Leaf, ...]] = {}
 
 
 def parts_of(type_: Type) -> tuple[tuple[str, Type], ...] | None:
-    """The names and types of a type's parts; None of one that is a single value."""
+    """Return the names and types of a type's parts; None for a type that is a single value."""
     if isinstance(type_, RecordType):
         return type_.fields
     if isinstance(type_, TupleOf):
@@ -141,13 +149,14 @@ def parts_of(type_: Type) -> tuple[tuple[str, Type], ...] | None:
 
 
 def sort_of(type_: Type) -> Sort:
-    """The sort of a type without parts. Strings, maps of places, scans, extern types, and all that is a collection are
-    of sorts of their own, which are called as the type."""
+    """Return the sort of a type without parts.
+
+    Strings, maps of places, scans, extern types and collections have sorts of their own, named like the type."""
     return _PLAIN.get(type_) or Sort(str(type_))
 
 
 def shape(type_: Type) -> tuple[Leaf, ...]:
-    """A type's leaves, in the order in which its values are flattened."""
+    """Return the leaves of a type, in the order in which its values are flattened."""
     parts = parts_of(type_)
     if parts is None:
         return (("", sort_of(type_)),)
@@ -155,9 +164,9 @@ def shape(type_: Type) -> tuple[Leaf, ...]:
 
 
 def build(type_: Type, leaves: Iterator[Term]) -> Val:
-    """A value of a type from its leaves."""
+    """Return a value of a type, built from its leaves."""
     parts = parts_of(type_)
     if parts is not None:
         return tuple([build(part, leaves) for _, part in parts])
     leaf = next(leaves)
-    return Named(leaf, type_) if is_collection(type_) else leaf
+    return OpaqueCollection(leaf, type_) if is_collection(type_) else leaf

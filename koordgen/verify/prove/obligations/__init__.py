@@ -1,6 +1,6 @@
-"""Obligations: what has to be shown so that an invariant holds.
+"""Proof obligations: the formulas that together imply that an invariant holds.
 
-Owns: the mission's start, each event, the environment's step, loop invariants, how many obligations there are.
+Owns: obligations of the mission's start, of each event, of the environment's step, of loops; their expected number.
 Offers: `generate.obligations`.
 Must not import: `report`.
 """

@@ -1,7 +1,9 @@
-"""How many obligations a program has, counted from the IR alone: what the encoder makes must be exactly these.
+"""Expected obligations of a program, counted from the IR alone.
 
-An obligation that the encoder leaves out would be a proof with a hole. So the count shares with the encoder only the
-decisions that are made from the IR (`loops.py`, `encode/loop.py`), and none of its work.
+The encoder must produce exactly these.
+
+An obligation that the encoder omits would leave a hole in the proof. So the count shares only the decisions that are
+made from the IR (`loops.py`, `encode/loop.py`) with the encoder, and none of its work.
 """
 
 from __future__ import annotations
@@ -13,44 +15,48 @@ from typing import assert_never
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.verify.prove.encode.loop import has_next_turn, length
-from koordgen.verify.prove.obligations.loops import INIT, stating
-from koordgen.verify.prove.obligations.moment import Setting
-from koordgen.verify.prove.smt.obligation import AtHead
+from koordgen.verify.prove.obligations.loops import INIT, functions_with_invariants
+from koordgen.verify.prove.obligations.part_encoder import ProofProblem
+from koordgen.verify.prove.smt.obligation import HeadFormula
 
 
 def expected(
     program: decl.Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None,
-    dropped: frozenset[AtHead] = frozenset(),
+    dropped: frozenset[HeadFormula] = frozenset(),
 ) -> Counter[str]:  # fmt: skip
-    """The names of the obligations of invariants, each with how often it occurs: those of the mission's start, of each
-    event, of the environment's step, and of each loop that is cut. Those of `(well-defined)` and of consistency are not
-    among them: how many operations can fail is what the encoder finds out."""
-    setting = Setting(program, robots, params, "little", dropped)
-    names = Counter(f"{p.name}-init" for p in setting.invariants)
+    """Return the names of the obligations of invariants, with the number of times each occurs.
+
+    There are obligations at the mission's start, for each event, for the environment's step, and for each loop that is
+    cut. Obligations of `(well-defined)` and of consistency are not counted: only the encoder finds out how many
+    operations can fail."""
+    problem = ProofProblem(program, robots, params, "little", dropped)
+    names = Counter(f"{p.name}-init" for p in problem.invariants)
     for event in program.events:
-        names.update(f"{p.name}-{event.name}" for p in setting.touched(setting.changed(event)))
-    names.update(f"{p.name}-environment" for p in setting.touched(setting.sensors))
+        names.update(f"{p.name}-{event.name}" for p in problem.touched(problem.changed(event)))
+    names.update(f"{p.name}-environment" for p in problem.touched(problem.sensors))
     blocks = [(event.name, event.effect) for event in program.events] + [(INIT, program.init)]
-    for owner, block in [*blocks, *((f.name, f.block) for f in stating(program))]:
-        names.update(_at_heads(setting, owner, block))
+    for owner, block in [*blocks, *((f.name, f.block) for f in functions_with_invariants(program))]:
+        names.update(_at_heads(problem, owner, block))
     return names
 
 
-def _at_heads(setting: Setting, owner: str, block: stmt.Block) -> Iterator[str]:
-    """An obligation for each formula that is assumed at a loop's head, where the loop begins; one more, where a turn
-    leads to the head again. A loop that is written out has those within it once for each turn."""
+def _at_heads(problem: ProofProblem, owner: str, block: stmt.Block) -> Iterator[str]:
+    """Yield the names of a block's loop obligations.
+
+    Each formula assumed at a loop's head has one at loop entry, and one more if a turn leads to the head again. Those
+    within an unrolled loop occur once per turn."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):
-                yield from _at_heads(setting, owner, then)
-                yield from _at_heads(setting, owner, orelse)
+                yield from _at_heads(problem, owner, then)
+                yield from _at_heads(problem, owner, orelse)
             case stmt.For() | stmt.While() as loop:
-                inner = list(_at_heads(setting, owner, loop.block))
-                if isinstance(loop, stmt.For) and setting.loops.way(loop) == "unrolled":
-                    yield from inner * (length(loop.values, setting.loops.known, setting.loops.robots) or 0)
+                inner = list(_at_heads(problem, owner, loop.block))
+                if isinstance(loop, stmt.For) and problem.loops.encoding(loop) == "unrolled":
+                    yield from inner * (length(loop.values, problem.loops.known, problem.loops.robots) or 0)
                     continue
                 yield from inner
-                for at in setting.loops.at(loop) if setting.loops.way(loop) == "cut" else ():
+                for at in problem.loops.at(loop) if problem.loops.encoding(loop) == "cut" else ():
                     name = f"{at.invariant.replace(' ', '-')}-{owner}-loop-{loop.span.line}"
                     yield f"{name}-entry"
                     if has_next_turn(loop):

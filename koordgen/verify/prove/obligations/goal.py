@@ -1,4 +1,4 @@
-"""What is to be shown: a property of a state, of any robots, in parts."""
+"""Goals: a property of a state, split into parts for arbitrary robots."""
 
 from __future__ import annotations
 
@@ -9,32 +9,38 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.encode.encoder import Scope
 from koordgen.verify.prove.encode.quantifier import domain as domain_of
-from koordgen.verify.prove.encode.scope import OfFleet
-from koordgen.verify.prove.encode.state import State, Written
+from koordgen.verify.prove.encode.scope import FleetScope
+from koordgen.verify.prove.encode.state import SymbolicState, UpdatedState
 from koordgen.verify.prove.encode.values import Val
-from koordgen.verify.prove.obligations.moment import Stage
+from koordgen.verify.prove.obligations.part_encoder import PartEncoder
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import Fact
+from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.term import Term
 
 _NAMES = ("i", "j", "k", "l", "m")
 
 
-def goal(stage: Stage, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
-    """The parts of what a property says of a state, where `guard` holds."""
-    said = stage.setting.mentions[property_.name]
-    cells = not isinstance(state, Written) or any(k[0] == "cell" and k in said for k in state.writes)
+def goal(
+    part_encoder: PartEncoder, property_: decl.Property, state: SymbolicState, guard: Term = t.TRUE
+) -> tuple[LabelledFormula, ...]:
+    """Return the parts of a property of a state, each under the condition `guard`."""
+    said = part_encoder.problem.mentions[property_.name]
+    cells = not isinstance(state, UpdatedState) or any(k[0] == "cell" and k in said for k in state.writes)
     bystanders = cells or not _names_robots(property_.formula, frozenset())
-    return _parts(_Goals(stage, f"invariant {property_.name}", OfFleet(state), bystanders), property_.formula, guard)
+    return _parts(
+        _Goals(part_encoder, f"invariant {property_.name}", FleetScope(state), bystanders), property_.formula, guard
+    )
 
 
-def goal_at(stage: Stage, name: str, formula: ir.Expr, scope: Scope, guard: Term) -> tuple[Fact, ...]:
-    """The parts of what a formula says at one place of an event or a function, where `guard` holds."""
-    return _parts(_Goals(stage, name, scope, True), formula, guard)
+def goal_at(
+    part_encoder: PartEncoder, name: str, formula: ir.Expr, scope: Scope, guard: Term
+) -> tuple[LabelledFormula, ...]:
+    """Return the parts of a formula at a point of an event or function, under the condition `guard`."""
+    return _parts(_Goals(part_encoder, name, scope, True), formula, guard)
 
 
-def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[Fact, ...]:
-    encoder = goals.stage.encoder
+def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[LabelledFormula, ...]:
+    encoder = goals.part_encoder.encoder
     kept, encoder.strict = encoder.strict, True
     try:
         goals.add(formula, guard, ())
@@ -44,13 +50,15 @@ def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[Fact, ...]:
 
 
 class _Goals:
-    """After an event a robot is the acting one or another. Where none is the acting one, and the formula speaks of
-    nothing that all share, it says what it said before the event, which need not be shown."""
+    """Builder of the parts of a goal.
 
-    def __init__(self, stage: Stage, name: str, scope: Scope, bystanders: bool) -> None:
-        self.stage, self.room, self.name = stage, stage.room, name
+    After an event, each robot variable is the acting robot or another one. If none is the acting robot, and the formula
+    reads no shared variable, the part is unchanged since before the event and need not be shown."""
+
+    def __init__(self, part_encoder: PartEncoder, name: str, scope: Scope, bystanders: bool) -> None:
+        self.part_encoder, self.context, self.name = part_encoder, part_encoder.context, name
         self.scope, self.bystanders = scope, bystanders
-        self.found: list[Fact] = []
+        self.found: list[LabelledFormula] = []
 
     def add(self, formula: ir.Expr, guard: Term, robots: tuple[Term, ...]) -> None:
         match formula:
@@ -60,7 +68,7 @@ class _Goals:
             case ir.Quantified("forall", variable, ir.Ids(), body):
                 for robot, inside in self.robots(robots, isinstance(body, ir.Quantified)):
                     self.scope.temps[variable] = robot
-                    with self.room.grant(robot):
+                    with self.context.grant(robot):
                         self.add(body, t.and_(guard, inside), (*robots, robot))
                     del self.scope.temps[variable]
             case ir.Quantified("forall", variable, domain, body):
@@ -71,46 +79,52 @@ class _Goals:
             case _ if robots and self.of_others(robots):
                 pass
             case _:
-                term = t.implies(guard, self.stage.encoder.defined(formula, self.scope))
-                label = f"{self.name}{'' if self.stage.brief else f': {shown(formula)}'}"
-                self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
+                term = t.implies(guard, self.part_encoder.encoder.defined(formula, self.scope))
+                label = f"{self.name}{'' if self.part_encoder.brief else f': {formula_text(formula)}'}"
+                self.found.append(
+                    LabelledFormula(label, term, self.part_encoder.problem.program.path, formula.span.line)
+                )
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:
-        """Whether none of these is the acting one, by name; where robots have numbers, each may be."""
-        by_name = self.room.robots is None and self.room.own is not None
-        return by_name and not self.bystanders and self.room.own not in robots
+        """Return whether no robot is the acting one.
+
+        Where robots are numbers, any of them may be the acting one."""
+        by_name = self.context.robots is None and self.context.own is not None
+        return by_name and not self.bystanders and self.context.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
-        """Any robot; each, where their number is known. `more`: another one will be asked for."""
-        room = self.room
-        if room.robots is not None:
-            yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
+        """Yield one term for any robot; if their number is known, each number.
+
+        `more`: another quantifier follows."""
+        context = self.context
+        if context.robots is not None:
+            yield from [(t.integer(i), t.TRUE) for i in range(context.robots)]
             return
-        at = sum(robot is not room.own for robot in chosen)
+        at = sum(robot is not context.own for robot in chosen)
         name = f"{_NAMES[at % 5]}@{'goal' if at < 5 else at}"
-        if room.own is None:
-            yield room.some_robot(name), t.TRUE
+        if context.own is None:
+            yield context.some_robot(name), t.TRUE
             return
-        yield room.own, t.TRUE
+        yield context.own, t.TRUE
         other = t.constant(name, t.INT)
         if self.bystanders or more or at == 0 or len(chosen) > at:
-            other = room.another(name)
-        yield other, room.within(other)
+            other = context.another(name)
+        yield other, context.within(other)
 
     def elements(self, domain: ir.Expr, body: ir.Expr, name: str) -> Iterator[tuple[Val, Term]]:
-        over = domain_of(self.stage.encoder, domain, self.scope, body, name)
-        if over.few is not None:
-            yield from [(value, t.TRUE) for value in over.few]
+        over = domain_of(self.part_encoder.encoder, domain, self.scope, body, name)
+        if over.listed is not None:
+            yield from [(value, t.TRUE) for value in over.listed]
             return
         place = t.constant(f"place{len(self.scope.temps)}@goal", t.INT)
         if over.robots:
-            self.room.robot(place)
-        self.room.element(place, False, over.places)
+            self.context.robot(place)
+        self.context.element(place, False, over.places)
         yield over.element(place), over.inside(place)
 
 
 def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
-    """Whether a formula reads what robots have by its outer quantifiers' variables alone."""
+    """Return whether all reads of robots' variables use the variables of outer quantifiers."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)
@@ -128,8 +142,8 @@ def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
     return True
 
 
-def shown(formula: ir.Expr) -> str:
-    """A formula as the program writes it, nearly."""
+def formula_text(formula: ir.Expr) -> str:
+    """Return the text of a formula, close to how the program writes it."""
     from koordgen.lang.ir.printer import expression
 
     return expression(formula)

@@ -1,4 +1,4 @@
-"""Report: verdicts, and why a proof fails.
+"""Report: verdicts of the prover, and reasons why a proof fails.
 
 Owns: verdicts, the assumption ledger, counterexamples replayed by the semantics, strengthenings, tables, traces.
 Offers: `verdict.prove`, `show`.

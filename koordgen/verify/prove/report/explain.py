@@ -1,4 +1,4 @@
-"""Why an obligation fails: a counterexample that the semantics reproduces, a run to it, what is lacking."""
+"""Explanation of a failed obligation: counterexample, run to it, and strengthening."""
 
 from __future__ import annotations
 
@@ -14,62 +14,67 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value as KoordValue
 from koordgen.verify.prove.obligations.generate import obligations
-from koordgen.verify.prove.report.model import Counterexample, replayed, with_values
-from koordgen.verify.prove.report.reach import Bounds, Run, run_to
-from koordgen.verify.prove.report.reading import Reader, Unshowable, flat
-from koordgen.verify.prove.report.strengthen import closing, supposing, unassumed
-from koordgen.verify.prove.smt.obligation import AtHead, Fact, Obligation
-from koordgen.verify.prove.smt.solve import Answer, Both, Solver
-from koordgen.verify.prove.smt.term import REAL, Term, TooLarge, equals, to_int, to_real
+from koordgen.verify.prove.report.model import Counterexample, run_model, with_values
+from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable, flat
+from koordgen.verify.prove.report.reach import CounterexampleRun, SearchBounds, run_to
+from koordgen.verify.prove.report.strengthen import strengthening, unassumed, with_position_assumptions
+from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, Obligation
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverAnswer
+from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals, to_int, to_real
 
 if TYPE_CHECKING:
-    from koordgen.verify.prove.smt.solve import Outcome
+    from koordgen.verify.prove.smt.solve import ObligationResult
 
-FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
-MOST = 1.0  # seconds of one query that is no proof
-PATIENCE = 4.0  # seconds of looking for a counterexample that can be shown
-SECONDS = 1.0  # of computing, for a strengthening
+FLEETS = (1, 2, 3, 4)  # sizes of fleets in which a counterexample is searched: fewer robots are easier to read
+QUERY_SECONDS = 1.0  # seconds of one query that proves nothing
+SEARCH_SECONDS = 4.0  # seconds of the search for a counterexample that can be shown
+STRENGTHENING_SECONDS = 1.0  # CPU seconds, with the solver's, of the search for a strengthening
 
 
-class Explanation(NamedTuple):
-    """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
-    induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
-    close the proof; `usual`: with the params as the program has them it is proved without. `unassumed` are sensors of
-    which nothing is assumed; with `supposed` of them and what is lacking it is proved, where there is any."""
+class FailureExplanation(NamedTuple):
+    """Reason why an invariant is not proved.
+
+    `run` leads from an initial state to a state in which the invariant is false. Without a run, the counterexample is
+    one to induction only. `unshown`: why there is no counterexample although the solver claims one. `lacking`:
+    conjuncts that make the invariant inductive. `with_defaults`: it is proved with the params' values in the program.
+    `unassumed`: sensors without assumptions. If `supposed` is not empty, the invariant is proved with these assumptions
+    about them and the conjuncts in `lacking`."""
 
     counterexample: Counterexample | None
-    run: Run | None
+    run: CounterexampleRun | None
     unshown: str
     lacking: tuple[str, ...]
-    usual: bool = False
+    with_defaults: bool = False
     unassumed: tuple[str, ...] = ()
     supposed: tuple[str, ...] = ()
 
 
 class Explainer:
-    """`proved` is the program with no other invariants than those that are PROVED."""
+    """Explainer of failed obligations.
+
+    `proved` is the program with only the PROVED ones of its invariants."""
 
     def __init__(
         self,
         program: decl.Program,
         robots: int | None,
         params: Mapping[str, Expr] | None,
-        solver: Solver | Both,
+        solver: Solver | CrossCheck,
         proved: decl.Program,
-        dropped: frozenset[AtHead] = frozenset(),
+        dropped: frozenset[HeadFormula] = frozenset(),
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
         self.dropped = dropped
-        self.made: dict[tuple[decl.Program, int, str, AtHead | None], list[Obligation]] = {}
+        self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
 
-    def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
-        """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
+    def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
+        """Explain why obligations of the invariant `name` fail. `relied` has the invariants that they assumed."""
         try:
             return self._explained(name, group, relied)
-        except TooLarge as error:
-            return Explanation(None, None, f"no counterexample was looked for to the end: {error}", ())
+        except EncodingTooLarge as error:
+            return FailureExplanation(None, None, f"the search for a counterexample was stopped: {error}", ())
 
-    def _explained(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
+    def _explained(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
         failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
         why, shown = "", None
         for obligation in sorted(failing, key=lambda o: o.kind != "base"):
@@ -77,75 +82,81 @@ class Explainer:
                 shown = self.counterexample(obligation, relied)
                 break
             except Unshowable as error:
-                why = f"the solver's counterexample is not shown: {error}"
+                why = f"the solver's counterexample cannot be shown: {error}"
         invariant = next((p for p in self.program.properties if p.kind == "invariant" and p.name == name), None)
         if shown is None:
-            return Explanation(None, None, why, ())
+            return FailureExplanation(None, None, why, ())
         if invariant is None:
-            return Explanation(shown, None, "", (), self.usually(name, relied))
+            return FailureExplanation(shown, None, "", (), self.holds_with_defaults(name, relied))
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
-        run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
+        run = run_to(program, invariant_of(program, name), _values(shown), SearchBounds(), self.robots)
         sensors = unassumed(self.program, invariant) if any(o.kind == "environment" for o in failing) else []
         if sensors:
-            more, supposed = supposing(self.proved, sensors)
+            more, supposed = with_position_assumptions(self.proved, sensors)
             lacking = self.lacking(more, invariant) if supposed else None
             names = tuple([f"{module.name}.{port.name}" for module, port in sensors])
-            return Explanation(shown, run, "", lacking or (), False, names, () if lacking is None else supposed)
-        usual = self.usually(name, relied)
-        lacking = None if run is not None or usual else self.lacking(self.proved, invariant)
-        return Explanation(shown, run, "", lacking or (), usual)
+            return FailureExplanation(shown, run, "", lacking or (), False, names, () if lacking is None else supposed)
+        with_defaults = self.holds_with_defaults(name, relied)
+        lacking = None if run is not None or with_defaults else self.lacking(self.proved, invariant)
+        return FailureExplanation(shown, run, "", lacking or (), with_defaults)
 
-    def usually(self, name: str, relied: decl.Program) -> bool:
-        """Whether the invariant is kept with the params that the program has."""
+    def holds_with_defaults(self, name: str, relied: decl.Program) -> bool:
+        """Return whether the invariant is proved with the params' values in the program."""
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
         made = obligations(relied, self.robots, {**(self.params or {}), **free}, dropped=self.dropped)
         own = [o for o in made if o.invariant == name and o.kind != "consistency"]
-        return all(self.solver.ask(o, most=MOST).result == o.expected for o in own)
+        return all(self.solver.ask(o, most=QUERY_SECONDS).result == o.expected for o in own)
 
     def free(self, param: str) -> bool:
         return self.params is None or param not in self.params
 
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
-        """Raises Unshowable, with the reason of the least fleet."""
+        """Return a counterexample in the smallest fleet.
+
+        Raises Unshowable, with the first reason that was met."""
         program = exact(relied)
         reasons: list[str] = []
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + SEARCH_SECONDS
         for robots in (self.robots,) if self.robots is not None else FLEETS:
             for same in self.of(relied, robots, obligation):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
-                reader = Reader(same)
+                reader = ModelReader(same)
                 if time.monotonic() > until:
-                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {PATIENCE:g} s")
+                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {SEARCH_SECONDS:g} s")
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
                         with ends(Deadline(time.monotonic, until)):
-                            return replayed(program, same, reader, robots)
+                            return run_model(program, same, reader, robots)
                     except Unshowable as error:
                         reasons.append(str(error))
                     except OutOfTime:
-                        reasons.append("to run it takes too long")
+                        reasons.append("its run takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
-    def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[Answer]:
-        """Models that people read easily, where there are any: with params as the program has them, in whole numbers;
-        then any."""
+    def models(self, obligation: Obligation, program: decl.Program, reader: ModelReader) -> Iterator[SolverAnswer]:
+        """Yield models, the most readable ones first.
+
+        The first has the params' values in the program and whole numbers, the second whole numbers, the third any
+        values."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
-        usual = list(_usual(obligation, program))
-        for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
-            facts = tuple([Fact("to be read easily", term, "", 0) for term in more])
+        with_defaults = list(_usual(obligation, program))
+        for more in dict.fromkeys([(*with_defaults, *whole), tuple(whole), ()]):
+            facts = tuple([LabelledFormula("readable values", term, "", 0) for term in more])
             asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
-            answer = self.solver.ask(asked, reader.wanted(), most=MOST)
+            answer = self.solver.ask(asked, reader.wanted(), most=QUERY_SECONDS)
             if answer.result == "sat":
                 yield answer
 
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
-        """All obligations of one event, with what fails at a loop's head where that is to be explained."""
+        """Return all obligations of one event.
+
+        The formula that failed at a loop's head, if any, is assumed again."""
         key = (program, robots, failed.event, failed.at)
         if key not in self.made:
             dropped = self.dropped - {failed.at}
@@ -153,20 +164,20 @@ class Explainer:
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
-        """What closes the proof of an invariant, beside what is proved; None where nothing was found."""
-        until = time.process_time() + SECONDS
+        """Return conjuncts with which an invariant is proved, beside the proved ones; None if none were found."""
+        until = time.process_time() + STRENGTHENING_SECONDS
         solving = 0.0
         base = replace(proved, properties=(*proved.properties, invariant))
 
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            # An invariant of all numbers of robots holds for this one, and is decided faster.
+            # An invariant that holds for all numbers of robots holds for this number, and is decided faster.
             for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()
-                    answer = self.solver.ask(obligation, most=MOST)
+                    answer = self.solver.ask(obligation, most=QUERY_SECONDS)
                     solving += answer.seconds
                     if answer.result != obligation.expected:
                         bad.add(obligation.invariant)
@@ -174,12 +185,12 @@ class Explainer:
 
         if proved is not self.proved and proves(base, frozenset({invariant.name})):
             return ()
-        return closing(base, invariant.name, proves) or None
+        return strengthening(base, invariant.name, proves) or None
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
-    """That the params have the values that the program gives them."""
-    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # first values may not be exact
+    """Yield formulas that the params have their values in the program."""
+    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # initial values may not be exact
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
         if cell.robot is None and len(parts) == len(cell.terms):
@@ -191,6 +202,6 @@ def invariant_of(program: decl.Program, name: str) -> decl.Property:
 
 
 def _values(shown: Counterexample) -> list[KoordValue]:
-    """What the sensors and commands of a counterexample are."""
+    """Return the values of sensors and commands in a counterexample."""
     states = (shown.before, shown.after)
     return [value for state in states for robot in state.robots for value in robot.ports.values()]

@@ -1,4 +1,4 @@
-"""The assumption ledger: all that a verdict takes for granted, and where it is looked after when robots run."""
+"""Assumption ledger: the assumptions of a verdict, and what checks each while robots run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
 from koordgen.lang.source import Span
 from koordgen.verify.prove.encode.geometry import DISTANCES, PATHS
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.smt.obligation import Obligation
 
 AGENTS = (
@@ -30,9 +30,10 @@ COMPARED = "koordgen's own tests compare it with what robots compute (`koordgen 
 LEMMAS = frozenset((DISTANCES, PATHS))
 
 
-class Entry(NamedTuple):
-    """One assumption: what kind, what it says, where the program says so (line 0: nowhere), and what checks it at run
-    time; empty where nothing does."""
+class LedgerEntry(NamedTuple):
+    """One assumption: its kind, its text, and its place in the program (line 0: none).
+
+    `checked`: what checks it at run time; empty if nothing does."""
 
     kind: str
     text: str
@@ -42,15 +43,15 @@ class Entry(NamedTuple):
 
 
 class Ledger:
-    """Of one program."""
+    """Assumptions of one program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
         self.written = tuple(_written(program))
         self.general = tuple(_general(program))
 
-    def of(self, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
-        """What these rest on: the parts of the program that stand among their facts, and their notes."""
+    def of(self, obligations: Iterable[Obligation]) -> tuple[LedgerEntry, ...]:
+        """Return the assumptions of some obligations: parts of the program among their facts, and their notes."""
         used: set[int] = set()
         notes: dict[str, None] = {}
         for obligation in obligations:
@@ -60,51 +61,53 @@ class Ledger:
         return (*written, *self.general, *[_noted(note, self.program) for note in notes])
 
 
-def _noted(note: str, program: decl.Program) -> Entry:
+def _noted(note: str, program: decl.Program) -> LedgerEntry:
     if note in LEMMAS:
-        return Entry("lemma", note, program.path, 0, COMPARED)
-    return Entry("approximation", note, program.path, 0, HARMLESS)
+        return LedgerEntry("lemma", note, program.path, 0, COMPARED)
+    return LedgerEntry("approximation", note, program.path, 0, HARMLESS)
 
 
-def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
-    """What the program itself assumes."""
+def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
+    """Yield the assumptions that the program states."""
     for module in program.modules:
         for assumption in module.assumptions:
-            text = f"{module.name}: {spelled(assumption.formula)}"
+            text = f"{module.name}: {to_koord(assumption.formula)}"
             checked = _watched(assumption.formula, program)
-            yield Entry("port assumption", text, program.path, assumption.span.line, checked), assumption.span
+            yield LedgerEntry("port assumption", text, program.path, assumption.span.line, checked), assumption.span
     for property_ in program.properties:
         if property_.kind in ("initially", "axiom"):
-            text = f"{property_.name}: {spelled(property_.formula)}".removeprefix(": ")
+            text = f"{property_.name}: {to_koord(property_.formula)}".removeprefix(": ")
             checked = _watched(property_.formula, program) if property_.kind == "initially" else UNCHECKED
-            yield Entry(property_.kind, text, program.path, property_.span.line, checked), property_.span
+            yield LedgerEntry(property_.kind, text, program.path, property_.span.line, checked), property_.span
     for extern in program.externs:
         for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures)):
             for formula in formulas:
-                text = f"{extern.name} {word} {spelled(formula)}"
-                yield Entry("contract", text, program.path, formula.span.line, AGENTS), formula.span
+                text = f"{extern.name} {word} {to_koord(formula)}"
+                yield LedgerEntry("contract", text, program.path, formula.span.line, AGENTS), formula.span
 
 
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
-    """What a `spec fun` says nobody can evaluate, and so not watch."""
+    """Return what checks a formula at run time.
+
+    Nothing can evaluate a `spec fun`, so nothing checks its formulas."""
     specs = {spec.name for spec in program.specs}
     return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 
 
-def _general(program: decl.Program) -> Iterator[Entry]:
+def _general(program: decl.Program) -> Iterator[LedgerEntry]:
     if program.init:
-        yield Entry("start", STARTED, program.path, program.init[0].span.line, AGENTS_START)
+        yield LedgerEntry("start", STARTED, program.path, program.init[0].span.line, AGENTS_START)
     types = [v.type for v in program.shared] + [v.type for v in program.locals] + [v.type for v in program.params]
     types += [port.type for module in program.modules for port in module.ports]
     if any(map(_real, types)):
         text = "numbers are real numbers; robots round each result to 53 bits, and to infinity beyond 1.8e308"
-        yield Entry("arithmetic", text, program.path, 0, UNCHECKED)
+        yield LedgerEntry("arithmetic", text, program.path, 0, UNCHECKED)
         text = "no event compares NaN, nor keeps or sends NaN or infinity"
-        yield Entry("arithmetic", text, program.path, 0, DISCARDED)
+        yield LedgerEntry("arithmetic", text, program.path, 0, DISCARDED)
 
 
 def _real(type_: Type) -> bool:
-    """Whether values of a type hold real numbers."""
+    """Return whether values of a type contain real numbers."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return _real(element)

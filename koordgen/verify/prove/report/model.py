@@ -1,7 +1,7 @@
-"""A solver's model as states of the program, and the step that it tells of, run by the executable semantics.
+"""Counterexamples from a solver's model: its states, and their step run by the executable semantics.
 
-A solver is not believed when it says `sat`: what it found is shown only as what the semantics made of it, in exact
-arithmetic, from a state in which the invariants hold to one in which they do not.
+The answer `sat` of a solver is not trusted. A counterexample is shown only as the semantics runs it, in exact
+arithmetic, from a state in which the invariants hold to a state in which one does not.
 """
 
 from __future__ import annotations
@@ -26,21 +26,22 @@ from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_pr
 from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.verify.prove.report.reading import Reader, Served, Unshowable
-from koordgen.verify.prove.smt.obligation import Cell, Moment, Obligation
+from koordgen.verify.prove.report.model_reader import ModelAnswers, ModelReader, Unshowable
+from koordgen.verify.prove.smt.obligation import Obligation, StateCell, StateName
 
 
 class Conjunct(NamedTuple):
-    """The part of a formula that decides it: `names` are the quantified names that it reads, with their values."""
+    """Conjunct that decides a formula. `names`: the quantified names that it reads, with their values."""
 
     formula: ir.Expr
     names: Mapping[str, Value]
 
 
 class Counterexample(NamedTuple):
-    """One step that leads from a state in which all invariants hold to one in which `failed` does not. `begun` is the
-    store at the round's start, which a plain event reads; `pid` is None where all robots moved; `discarded` says why
-    the event has no result, where that is what is wrong. `seen` are the names of variables that matter."""
+    """One step from a state in which all invariants hold to a state in which `failed` does not.
+
+    `begun`: the store at the round's start, which a plain event reads. `pid`: None if all robots moved. `discarded`:
+    the reason why the event has no result, if that is the failure. `seen`: names of the variables in the obligation."""
 
     invariant: str
     kind: str
@@ -56,28 +57,30 @@ class Counterexample(NamedTuple):
     seen: frozenset[str]
 
 
-class Reading:
-    """A model, as the states that it tells of."""
+class ModelStates:
+    """States of the program in a model."""
 
-    def __init__(self, program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> None:
+    def __init__(self, program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> None:
         self.obligation = obligation
         self.robots = robots
         self.reader = reader
         params = {c.name: self.value(c) for c in obligation.cells if c.name in {p.name for p in program.params}}
         self.program = with_values(program, params)
 
-    def value(self, cell: Cell) -> Value:
+    def value(self, cell: StateCell) -> Value:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
-    def state(self, moment: Moment) -> State:
-        """The fleet at a moment; what the obligation does not speak of is as at first."""
-        first = made_state(initial(self.program, self.robots))
+    def state(self, moment: StateName) -> State:
+        """Return the fleet in one state.
+
+        A variable that the obligation does not mention has its initial value."""
+        first = exact_state(initial(self.program, self.robots))
         locals_ = [dict(robot.locals) for robot in first.robots]
         ports = [dict(robot.ports) for robot in first.robots]
         slots = {name: list(values) for name, values in first.store.slots.items()}
         cells = dict(first.store.cells)
         for cell in self.obligation.cells:
-            if cell.moment != moment or cell.name in first.params:
+            if cell.state_name != moment or cell.name in first.params:
                 continue
             if cell.robot is None:
                 if cell.name in cells:
@@ -95,23 +98,25 @@ class Reading:
         store = Store({name: tuple(values) for name, values in slots.items()}, cells)
         return first._replace(robots=robots, store=store, round=1)
 
-    def has(self, moment: Moment) -> bool:
-        return any(cell.moment == moment for cell in self.obligation.cells)
+    def has(self, moment: StateName) -> bool:
+        return any(cell.state_name == moment for cell in self.obligation.cells)
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:
-    """The program with some params set to values."""
+    """Return the program with some params set to values."""
     params = [replace(p, default=constant(values[p.name], p)) if p.name in values else p for p in program.params]
     return replace(program, params=tuple(params))
 
 
 def constant(value: Value, param: decl.Param) -> ir.Expr:
-    """A value as an expression: only for the semantics, which takes a constant's value as it is."""
+    """Return a value as an expression.
+
+    Only the semantics may use it: it takes a constant's value unchecked."""
     return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
 
 
-def made_state(state: State) -> State:
-    """A state with all its numbers exact."""
+def exact_state(state: State) -> State:
+    """Return a state with all its numbers exact."""
     robots = tuple(Robot(exact_all(r.locals), exact_all(r.ports), r.stopped) for r in state.robots)
     slots = {name: tuple(map(made_exact, values)) for name, values in state.store.slots.items()}
     return State(exact_all(state.params), robots, Store(slots, exact_all(state.store.cells)), state.round)
@@ -121,11 +126,13 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name: made_exact(value) for name, value in values.items()}
 
 
-def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> Counterexample:
-    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be
-    relied upon. Raises Unshowable where the run does not show what the solver claims."""
+def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
+    """Run the step of a model, as `reader` read it.
+
+    `program` is exact, and contains the invariants that may be assumed. Raises Unshowable if the run does not show what
+    the solver claims."""
     try:
-        reading = Reading(program, obligation, reader, robots)
+        reading = ModelStates(program, obligation, reader, robots)
         match obligation.kind:
             case "base":
                 return _base(reading)
@@ -134,45 +141,45 @@ def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robo
             case "well-defined" if obligation.event == "init":
                 return _init(reading)
             case "loop" if obligation.event not in {event.name for event in program.events}:
-                raise Unshowable("only turns of loops in events are run")
+                raise Unshowable("turns of loops are run only in events")
             case "event" | "well-defined" | "loop":
                 return _event(reading)
             case _:
                 raise InternalError(f"{obligation.name} has no counterexample")
     except NotExact as error:
-        raise Unshowable(f"it cannot be run exactly: {error}") from None
+        raise Unshowable(f"the step cannot be run exactly: {error}") from None
     except NoMeaning as error:
-        raise Unshowable(f"it cannot be run: {error}") from None
+        raise Unshowable(f"the step cannot be run: {error}") from None
 
 
-def _base(reading: Reading) -> Counterexample:
-    before, after, discarded = _begun(reading)
+def _base(reading: ModelStates) -> Counterexample:
+    before, after, discarded = _ran_init(reading)
     if discarded is not None:
         raise Unshowable(f"no mission begins: init has no result, {discarded.outcome}")
-    return _told(reading, before.store, before, after, None, "")
+    return _failed_step(reading, before.store, before, after, None, "")
 
 
-def _init(reading: Reading) -> Counterexample:
-    before, _, discarded = _begun(reading)
+def _init(reading: ModelStates) -> Counterexample:
+    before, _, discarded = _ran_init(reading)
     if discarded is None:
-        raise Unshowable("init, when it is run, has a result")
-    return _told(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
+        raise Unshowable("init has a result when it is run")
+    return _failed_step(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
 
 
-def _begun(reading: Reading) -> tuple[State, State, Step | None]:
-    """A fleet before and after every robot's init; the first init that is discarded, if one is."""
+def _ran_init(reading: ModelStates) -> tuple[State, State, Step | None]:
+    """Return the fleet before and after every `init`, and the first discarded `init`, or None."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
-        if property_.kind == "initially" and not true(property_, reading.program, before):
-            raise Unshowable("what holds initially does not hold in it")
-    served = Served(reading.program, reading.reader)
+        if property_.kind == "initially" and not is_true(property_, reading.program, before):
+            raise Unshowable("its first state violates an `initially` property")
+    served = ModelAnswers(reading.program, reading.reader)
     after, steps = run_init(reading.program, before, served.world)
     if served.missing or served.asked:
-        raise Unshowable("what is asked in init is known only by what is said of it")
+        raise Unshowable("init calls functions or ports whose results are known only by their contracts")
     return before, after, next((s for s in steps if isinstance(s.outcome, Discarded)), None)
 
 
-def _environment(reading: Reading) -> Counterexample:
+def _environment(reading: ModelStates) -> Counterexample:
     program = reading.program
     before, after = reading.state("before"), reading.state("after")
     sensors = [f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"]
@@ -182,13 +189,17 @@ def _environment(reading: Reading) -> Counterexample:
     ]
     _relied_upon(program, before)
     for pid, (old, new) in enumerate(zip(before.robots, moved, strict=True)):
-        if not allowed(program, old.ports, new.ports, pid, before):
-            raise Unshowable("an assumption does not hold in it")
-    return _told(reading, before.store, before, before._replace(robots=tuple(moved)), None, "")
+        if not is_allowed(program, old.ports, new.ports, pid, before):
+            raise Unshowable("its step violates an assumption")
+    return _failed_step(reading, before.store, before, before._replace(robots=tuple(moved)), None, "")
 
 
-def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State) -> bool:
-    """Whether every assumption holds of one robot's step. Raises Unshowable where one cannot be evaluated."""
+def is_allowed(
+    program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State
+) -> bool:
+    """Return whether one robot's step satisfies every assumption.
+
+    Raises Unshowable if one cannot be evaluated."""
     try:
         return all(
             holds_assumption(a, program, old, new, pid, len(state.robots), state.params)
@@ -196,10 +207,10 @@ def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, V
             for a in module.assumptions
         )
     except Discarded as error:
-        raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
+        raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
 
 
-def _event(reading: Reading) -> Counterexample:
+def _event(reading: ModelStates) -> Counterexample:
     program, obligation = reading.program, reading.obligation
     before = reading.state("before")
     start = reading.state("round start") if reading.has("round start") else before
@@ -210,10 +221,10 @@ def _event(reading: Reading) -> Counterexample:
     _relied_upon(program, start)
     why = "no robot can take the step"
     for pid in range(reading.robots):
-        served = Served(program, reading.reader)
+        served = ModelAnswers(program, reading.reader)
         try:
             if not has_priority(program, event, before._replace(store=begun), pid, served.world):
-                why = "an earlier event of the same priority block goes first"
+                why = "an earlier event of the same priority block runs instead"
                 continue
             if not enabled(program, event, seen, pid, served.world):
                 continue
@@ -224,52 +235,52 @@ def _event(reading: Reading) -> Counterexample:
         if isinstance(outcome, Discarded):
             why = outcome.reason
             if obligation.kind == "well-defined":
-                return _told(reading, begun, before, before, pid, str(outcome))
+                return _failed_step(reading, begun, before, before, pid, str(outcome))
             continue
         after = applied(program, before, Step(pid, event.name, outcome))
         stated = [claim for claim in walk(event.effect) if isinstance(claim, stmt.LoopInvariant)]
         for claim in stated if obligation.kind == "loop" else ():
             if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
-        if obligation.kind == "event" and not _all_true(obligation.invariant, program, after):
-            return _told(reading, begun, before, after, pid, "")
-        why = "the step, when it is run, keeps the invariant"
+        if obligation.kind == "event" and not _are_all_true(obligation.invariant, program, after):
+            return _failed_step(reading, begun, before, after, pid, "")
+        why = "the step preserves the invariant when it is run"
     raise Unshowable(why)
 
 
 def _relied_upon(program: decl.Program, state: State) -> None:
     for property_ in program.properties:
-        if property_.kind == "invariant" and not true(property_, program, state):
+        if property_.kind == "invariant" and not is_true(property_, program, state):
             raise Unshowable(f"{property_.name} does not hold before the step")
 
 
-def _all_true(name: str, program: decl.Program, state: State) -> bool:
-    return all(true(p, program, state) for p in program.properties if p.name == name and p.kind == "invariant")
+def _are_all_true(name: str, program: decl.Program, state: State) -> bool:
+    return all(is_true(p, program, state) for p in program.properties if p.name == name and p.kind == "invariant")
 
 
-def true(property_: decl.Property, program: decl.Program, state: State) -> bool:
-    """Whether a property holds; where it has no value it does not."""
+def is_true(property_: decl.Property, program: decl.Program, state: State) -> bool:
+    """Return whether a property holds. False if it has no value."""
     try:
         return holds_property(property_, program, state)
     except Discarded:
         return False
 
 
-def _told(
-    reading: Reading, begun: Store, before: State, after: State, pid: int | None, discarded: str
+def _failed_step(
+    reading: ModelStates, begun: Store, before: State, after: State, pid: int | None, discarded: str
 ) -> Counterexample:
     obligation = reading.obligation
     failed = None
     for property_ in reading.program.properties:
         if property_.name == obligation.invariant and property_.kind == "invariant":
-            failed = failing(property_, reading.program, after)
+            failed = failing_conjunct(property_, reading.program, after)
     if failed is None and not discarded:
-        raise Unshowable("the step, when it is run, keeps the invariant")
+        raise Unshowable("the step preserves the invariant when it is run")
     return _seen(reading, begun, before, after, pid, failed, discarded)
 
 
 def _seen(
-    reading: Reading, begun: Store, before: State, after: State, pid: int | None, failed: Conjunct | None,
+    reading: ModelStates, begun: Store, before: State, after: State, pid: int | None, failed: Conjunct | None,
     discarded: str,
 ) -> Counterexample:  # fmt: skip
     obligation = reading.obligation
@@ -281,14 +292,14 @@ def _seen(
     )
 
 
-def failing(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
-    """The part of a property that makes it false in a state; None where it holds."""
+def failing_conjunct(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
+    """Return the conjunct that makes a property false in a state; None if the property holds."""
     view = library(program, len(state.robots), state.params, NOTHING, Budget(), no_port)
     view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
-    return _failing(property_.formula, view)
+    return _failing_conjunct(property_.formula, view)
 
 
-def _failing(node: ir.Expr, view: View) -> Conjunct | None:
+def _failing_conjunct(node: ir.Expr, view: View) -> Conjunct | None:
     try:
         if holds(node, view):
             return None
@@ -296,10 +307,10 @@ def _failing(node: ir.Expr, view: View) -> Conjunct | None:
         return Conjunct(node, dict(view.temps))
     match node:
         case ir.Logic("and", left, right):
-            return _failing(left, view) or _failing(right, view)
+            return _failing_conjunct(left, view) or _failing_conjunct(right, view)
         case ir.Quantified("forall", name, domain, body):
             for value in elements(domain, view):
-                found = _failing(body, view._replace(temps={**view.temps, name: value}))
+                found = _failing_conjunct(body, view._replace(temps={**view.temps, name: value}))
                 if found is not None:
                     return found
             return None
@@ -308,7 +319,7 @@ def _failing(node: ir.Expr, view: View) -> Conjunct | None:
 
 
 def plain_value(value: Any) -> Any:
-    """A value for JSON: exact numbers as text where a float would round them."""
+    """Return a value for JSON. A number that a float would round becomes text."""
     match value:
         case bool() | int() | str():
             return value

@@ -1,8 +1,8 @@
-"""Runs from initial states, a bounded number of them, that look for one in which an invariant is false.
+"""Bounded search of runs from initial states for a state in which an invariant is false.
 
-Only a run that the semantics makes counts, so what is found is a fact; that nothing is found says nothing. The
-environment is made finite: a sensor takes the values that the program and the counterexample to induction speak of,
-as far as the assumptions allow.
+A run counts only if the semantics executes it, so a run that is found is a fact. Finding none proves nothing. The
+environment is made finite: a sensor takes values that the program and the counterexample to induction mention, if the
+assumptions allow them.
 """
 
 from __future__ import annotations
@@ -28,15 +28,17 @@ from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, initial, round_, run_init, select, sense
 from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.points import Point
-from koordgen.verify.prove.report.model import Conjunct, allowed, failing, made_state, true
-from koordgen.verify.prove.report.reading import Unshowable
+from koordgen.verify.prove.report.model import Conjunct, exact_state, failing_conjunct, is_allowed, is_true
+from koordgen.verify.prove.report.model_reader import Unshowable
 
 ENVIRONMENT = "(environment)"
 
 
-class Bounds(NamedTuple):
-    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
-    computing (on a busy computer they take longer)."""
+class SearchBounds(NamedTuple):
+    """Limits of the search.
+
+    They are numbers of robots, rounds, states, values of one sensor, and moves of the whole fleet; and CPU seconds,
+    which take longer on a busy computer."""
 
     robots: int = 3
     rounds: int = 6
@@ -46,8 +48,8 @@ class Bounds(NamedTuple):
     seconds: float = 0.25
 
 
-class Moment(NamedTuple):
-    """A state of a run, and what led to it: "" at first, "init", an event's name, "(environment)"."""
+class RunState(NamedTuple):
+    """State of a run, with the step to it: "" for the first, "init", an event, "(environment)"."""
 
     state: State
     event: str
@@ -55,94 +57,102 @@ class Moment(NamedTuple):
     round: int
 
 
-class Run(NamedTuple):
-    """From an initial state to one in which an invariant is false. `of_agents`: agents can do each round of it."""
+class CounterexampleRun(NamedTuple):
+    """Run from an initial state to one in which an invariant is false.
 
-    moments: tuple[Moment, ...]
+    `of_agents`: agents can execute each round."""
+
+    run_states: tuple[RunState, ...]
     failed: Conjunct
     of_agents: bool
 
 
 def run_to(
-    program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
-) -> Run | None:
-    """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
-    sensors may take. Where agents cannot do the first one that is found, one of no more rounds that they can do is
-    looked for, as long again."""
+    program: decl.Program,
+    invariant: decl.Property,
+    hints: Iterable[Value],
+    bounds: SearchBounds,
+    robots: int | None = None,
+) -> CounterexampleRun | None:
+    """Return the first run found, one with the fewest rounds of its fleet.
+
+    Fleets of 1 to `bounds.robots` robots, or of `robots`. `program` is exact. `hints`: additional values of
+    sensors. If agents cannot execute that run, a second search of the same time looks for a run that they can, with
+    no more rounds."""
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     known = tuple(hints)
     found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
     if found is None or found.of_agents:
         return found
-    bounds = bounds._replace(rounds=found.moments[-1].round)
+    bounds = bounds._replace(rounds=found.run_states[-1].round)
     return _searched(program, invariant, known, bounds, fleets, as_agents=True) or found
 
 
 def _searched(
-    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, fleets: Iterable[int],
-    as_agents: bool,
-) -> Run | None:  # fmt: skip
+    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds,
+    fleets: Iterable[int], as_agents: bool,
+) -> CounterexampleRun | None:  # fmt: skip
     until = time.process_time() + bounds.seconds
     try:
         with ends(Deadline(time.process_time, until)):
             for n_sys in fleets:
-                found = _Search(program, invariant, hints, bounds, until, as_agents).of(n_sys)
+                found = _RunSearch(program, invariant, hints, bounds, until, as_agents).of(n_sys)
                 if found is not None:
                     return found
     except (NotExact, NoMeaning, OutOfTime):
-        return None  # a run that cannot be made exactly, or takes too long, shows nothing
+        return None  # a run that cannot be made exactly, or takes too long, proves nothing
     return None
 
 
-class _Search:
-    """`as_agents`: of each robot only the event is tried that agents choose."""
+class _RunSearch:
+    """Breadth-first search of runs. `as_agents`: each robot runs only the event that agents choose."""
 
     def __init__(
-        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float,
-        as_agents: bool,
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds,
+        until: float, as_agents: bool,
     ) -> None:  # fmt: skip
         self.program = program
         self.invariant = invariant
         self.bounds = bounds
         self.until = until
-        self.world = World({}, no_way)
+        self.world = World({}, no_path)
         self.sensors = [
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
         self.pools = Pools(hints, literals(program.properties), bounds.values)
         self.as_agents = as_agents
 
-    def of(self, n_sys: int) -> Run | None:
-        layer: list[tuple[Moment, ...]] = []
+    def of(self, n_sys: int) -> CounterexampleRun | None:
+        layer: list[tuple[RunState, ...]] = []
         for start in self.starts(n_sys):
             ready, steps = run_init(self.program, start, self.world)
-            if not any(isinstance(step.outcome, Discarded) for step in steps):  # otherwise no mission begins
-                layer.append((Moment(start, "", None, 0), Moment(ready, "init", None, 0)))
+            if not any(isinstance(step.outcome, Discarded) for step in steps):  # a discarded init begins no mission
+                layer.append((RunState(start, "", None, 0), RunState(ready, "init", None, 0)))
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
             reached = list(islice(self.rounds(layer, seen), self.bounds.states))
             found = self.broken(reached)
-            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins behind such a step
+            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins after such a step
         return found
 
-    def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
+    def broken(self, layer: list[tuple[RunState, ...]]) -> CounterexampleRun | None:
         for run in layer:
-            failed = failing(self.invariant, self.program, run[-1].state)
+            failed = failing_conjunct(self.invariant, self.program, run[-1].state)
             if failed is not None:
-                return Run(run, failed, self.of_agents(run))
+                return CounterexampleRun(run, failed, self.of_agents(run))
         return None
 
-    def of_agents(self, run: tuple[Moment, ...]) -> bool:
-        """Return whether agents can do a run; False where a guard cannot be evaluated exactly."""
+    def of_agents(self, run: tuple[RunState, ...]) -> bool:
+        """Return whether agents can execute a run. False if a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
         except (NotExact, NoMeaning):
             return False
 
     def starts(self, n_sys: int) -> Iterator[State]:
-        """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
-        first = made_state(initial(self.program, n_sys))
+        """Yield at most `bounds.moves` initial states, with combinations of pool values for robots' sensors."""
+        first = exact_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)
         pools = [
@@ -153,53 +163,55 @@ class _Search:
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
         for fleet in fleets:
-            state = made_state(initial(self.program, n_sys, fleet))
-            if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
+            state = exact_state(initial(self.program, n_sys, fleet))
+            if count < self.bounds.moves and all(is_true(rule, self.program, state) for rule in rules):
                 count += 1
                 yield state
 
-    def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
-        """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
+    def rounds(self, layer: list[tuple[RunState, ...]], seen: list[State]) -> Iterator[tuple[RunState, ...]]:
+        """Extend every run by one round: events of one robot or of all agents, then the environment."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
                 if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
-                    yield stepped  # whatever comes after: here the program's step has ended
+                    yield stepped  # a run may end here, since the program's step has ended
                 for moved in self.moved(stepped[-1].state):
                     fresh = moved._replace(round=0)
                     if fresh not in seen:
                         seen.append(fresh)
-                        yield (*stepped, Moment(moved, ENVIRONMENT, None, run[-1].round + 1))
+                        yield (*stepped, RunState(moved, ENVIRONMENT, None, run[-1].round + 1))
 
-    def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
+    def stepped(self, run: tuple[RunState, ...], state: State) -> Iterator[tuple[RunState, ...]]:
         number = run[-1].round + 1
         for pid in range(len(state.robots)):
             for step in self.events(state, pid):
-                yield (*run, Moment(applied(self.program, state, step), str(step.event), pid, number))
+                yield (*run, RunState(applied(self.program, state, step), str(step.event), pid, number))
         if len(state.robots) > 1:
             steps: list[Step] = []
             with suppress(NotExact, NoMeaning):
                 steps = round_(self.program, state, world=self.world)[1]
-            moments = list(run)
+            run_states = list(run)
             for step in steps:
                 if step.event is not None and not isinstance(step.outcome, Discarded):
-                    moments.append(Moment(applied(self.program, moments[-1].state, step), step.event, step.pid, number))
-            if len(moments) > len(run):
-                yield tuple(moments)
+                    run_states.append(
+                        RunState(applied(self.program, run_states[-1].state, step), step.event, step.pid, number)
+                    )
+            if len(run_states) > len(run):
+                yield tuple(run_states)
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
-        """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""
+        """Yield the steps of one robot. An event that cannot be run exactly is left out; the others remain."""
         if state.robots[pid].stopped:
             return
-        for event in self.tried(state, pid):
+        for event in self.candidate_events(state, pid):
             with suppress(NotExact, NoMeaning):
                 step = choice(self.program, event, state, pid, None, self.world)
                 if step is not None:
                     yield step
 
-    def tried(self, state: State, pid: int) -> tuple[decl.Event, ...]:
+    def candidate_events(self, state: State, pid: int) -> tuple[decl.Event, ...]:
         if not self.as_agents:
             return self.program.events
         with suppress(NotExact, NoMeaning):
@@ -208,7 +220,7 @@ class _Search:
         return ()
 
     def moved(self, state: State) -> Iterator[State]:
-        """The environment's step: all robots, each to a value that the assumptions allow."""
+        """Yield the states after the environment's step, in which sensors have values that assumptions allow."""
         each = []
         for pid, robot in enumerate(state.robots):
             pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
@@ -216,7 +228,7 @@ class _Search:
             for moves in islice(product(*pools), 4 * self.bounds.moves):
                 new = {**robot.ports, **dict(moves)}
                 try:
-                    if allowed(self.program, robot.ports, new, pid, state):
+                    if is_allowed(self.program, robot.ports, new, pid, state):
                         found.append(dict(moves))
                 except Unshowable:
                     continue
@@ -226,23 +238,24 @@ class _Search:
 
 
 class Pools:
-    """The values that sensors are tried with: of each type those of which the program and some hints speak, at most
-    `count` of them."""
+    """Values that the search tries for sensors.
 
-    def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
-        self.hints, self.spoken = tuple(hints), tuple(spoken)
+    For each type they are at most `count` of those that the program and the hints mention."""
+
+    def __init__(self, hints: Iterable[Value], mentioned: Iterable[Value], count: int) -> None:
+        self.hints, self.mentioned = tuple(hints), tuple(mentioned)
         self.count = count
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
-        """The values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
+        """Return values of a sensor after a step: commands, its own value, and the pool of its type."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """The values of a type that the program and the hints speak of."""
+        """Return the values of a type that the program and the hints mention."""
         if type_ == BOOL:
             return [True, False]
-        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.spoken) if _is(v, type_)]
+        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.mentioned) if _is(v, type_)]
         if type_ == POINT:
             known += [_apart(i) for i in range(len(state.robots))]
         if type_ == FLOAT:
@@ -264,7 +277,7 @@ def _is(value: Any, type_: Type) -> bool:
 
 
 def literals(part: Part) -> Iterator[Value]:
-    """The numbers that formulas or statements name."""
+    """Yield the numbers that formulas or statements contain."""
     for node in walk(part):
         if isinstance(node, ir.Const) and not isinstance(node.value, (bool, str)):
             yield made_exact(node.value)
@@ -278,6 +291,6 @@ def _distinct(values: Iterable[Any]) -> list[Any]:
     return found
 
 
-def no_way(pid: int, port: str, args: tuple[Value, ...]) -> Value:
-    """A callable port that knows no way."""
+def no_path(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+    """Answer a callable port with no path."""
     return ()

@@ -1,30 +1,30 @@
-"""Verdicts as people read them, at most 100 columns wide, and as data."""
+"""Verdicts as text of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from koordgen.verify.prove.report.verdict import WELL_DEFINED, Verdict
+from koordgen.verify.prove.report.verdict import WELL_DEFINED, InvariantVerdict
 
-if TYPE_CHECKING:  # a proof needs nothing of what shows counterexamples
-    from koordgen.verify.prove.report.explain import Explanation
+if TYPE_CHECKING:  # a proof needs no code that shows counterexamples
+    from koordgen.verify.prove.report.explain import FailureExplanation
 
 WIDTH = 100
 
 
-class Attacked(NamedTuple):
-    """How many states one obligation was attacked with; why none, where it is 0."""
+class AttackCount(NamedTuple):
+    """Number of states with which one obligation was attacked; `reason`: why there are none, if it is 0."""
 
     states: int
     reason: str
 
 
-Attacks = Mapping[str, Attacked]  # by the obligation's name
+Attacks = Mapping[str, AttackCount]  # by the obligation's name
 
 
-def report(verdicts: Sequence[Verdict], path: str, attacks: Attacks) -> str:
-    """All verdicts, then what they take for granted."""
+def report(verdicts: Sequence[InvariantVerdict], path: str, attacks: Attacks) -> str:
+    """Return the text of all verdicts, then of their assumptions."""
     robots = verdicts[0].robots if verdicts else None
     fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
     lines = [f"{path}, for {fleet}", ""]
@@ -36,7 +36,7 @@ def report(verdicts: Sequence[Verdict], path: str, attacks: Attacks) -> str:
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def _verdict(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
+def _verdict(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
     count = len(verdict.outcomes)
     seconds = sum(o.answer.seconds for o in verdict.outcomes)
     measured = f"{count} obligation{'s' * (count != 1)}, {1000 * seconds:.0f} ms"
@@ -50,33 +50,35 @@ def _verdict(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
         yield from wrapped(f"rests on {', '.join(verdict.rests_on)}")
     if verdict.reason:
         yield from wrapped(verdict.reason)
-    told = verdict.explanation
-    if told is None:
+    explanation = verdict.explanation
+    if explanation is None:
         return
-    if told.counterexample is None:
+    if explanation.counterexample is None:
         return
     from koordgen.verify.prove.report.table import counterexample, run_lines
 
-    if told.run is not None:
+    if explanation.run is not None:
         yield from wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
-        yield from run_lines(told.run, told.counterexample)
+        yield from run_lines(explanation.run, explanation.counterexample)
         if suggestion(verdict):
             yield from wrapped(suggestion(verdict))
         return
-    yield from counterexample(told.counterexample)
+    yield from counterexample(explanation.counterexample)
     guarded = "guard it, or say in an invariant that it does not happen"
-    untold = guarded if verdict.invariant == WELL_DEFINED else "no conjunct that was tried closes the proof"
+    untold = guarded if verdict.invariant == WELL_DEFINED else "none of the conjuncts that were tried closes the proof"
     yield from wrapped(suggestion(verdict) or untold)
 
 
-def attacked_states(verdict: Verdict, attacks: Attacks) -> int:
-    """The states of all steps that an invariant was attacked with; obligations of one step share theirs."""
+def attacked_states(verdict: InvariantVerdict, attacks: Attacks) -> int:
+    """Return the number of states with which an invariant was attacked.
+
+    Obligations of one step share their states."""
     steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
     return sum(steps.values())
 
 
-def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
-    """The obligations that no state was found for, by their reasons."""
+def _unattacked(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
+    """Yield the obligations that were not attacked, grouped by the reason."""
     names: dict[str, list[str]] = {}
     for outcome in verdict.outcomes:
         states, reason = attacks[outcome.obligation.name]
@@ -88,12 +90,14 @@ def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
 
 
 def wrapped(text: str) -> list[str]:
-    """A sentence over as many lines as it takes."""
+    """Return a sentence in as many lines as it needs."""
     return filled(text, "  ", "  ")
 
 
 def filled(text: str, first: str, rest: str) -> list[str]:
-    """Words in lines, with what the first begins with, and the others. To import textwrap takes 0.7 ms."""
+    """Fill lines with words.
+
+    `first` and `rest` begin the first and other lines. To import textwrap takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:
@@ -103,28 +107,28 @@ def filled(text: str, first: str, rest: str) -> list[str]:
     return [*lines, line]
 
 
-def suggestion(verdict: Verdict) -> str:
-    """What closes the proof, in a sentence; empty where that is not known."""
-    told = verdict.explanation
-    if told is not None and told.usual:
+def suggestion(verdict: InvariantVerdict) -> str:
+    """Return a sentence that says how to close the proof; empty if that is unknown."""
+    explanation = verdict.explanation
+    if explanation is not None and explanation.with_defaults:
         return (
             f"with the params as the program has them {verdict.invariant} is PROVED: say in `initially` what they must "
             "satisfy, or fix them by --param"
         )
-    if told is None:
+    if explanation is None:
         return ""
-    added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)
-    if told.unassumed:
-        said = f"nothing is assumed of what {' and '.join(told.unassumed)} is after a step: it may be anything"
-        if not told.supposed:
-            return f"{said}; say what holds by an `assume` of the module"
-        supposed = " and ".join(f"`{assumption}`" for assumption in told.supposed)
+    added = " and ".join(f"`{conjunct}`" for conjunct in explanation.lacking)
+    if explanation.unassumed:
+        said = f"nothing is assumed about {' and '.join(explanation.unassumed)} after a step, so any value is possible"
+        if not explanation.supposed:
+            return f"{said}; state what holds in an `assume` of the module"
+        supposed = " and ".join(f"`{assumption}`" for assumption in explanation.supposed)
         more = f", and {added} in {verdict.invariant}" if added else ""
         return f"{said}; with {supposed}{more} it is PROVED"
     return f"add {added} to {verdict.invariant}: then it is PROVED" if added else ""
 
 
-def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
+def _ledger(verdicts: Iterable[InvariantVerdict]) -> Iterator[str]:
     entries = dict.fromkeys(entry for verdict in verdicts for entry in verdict.assumptions)
     if not entries:
         return
@@ -135,13 +139,13 @@ def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
         yield from filled(f"{entry.kind}: {entry.text}{place}; {checked}", "  - ", "    ")
 
 
-def document(found: Iterable[tuple[Sequence[Verdict], Attacks]]) -> dict[str, Any]:
-    """All verdicts as JSON has them, for each number of robots with its attacks."""
+def document(found: Iterable[tuple[Sequence[InvariantVerdict], Attacks]]) -> dict[str, Any]:
+    """Return all verdicts for JSON, for each number of robots with its attacks."""
     return {"invariants": [_json(verdict, attacks) for verdicts, attacks in found for verdict in verdicts]}
 
 
-def _json(verdict: Verdict, attacks: Attacks) -> dict[str, Any]:
-    told = verdict.explanation
+def _json(verdict: InvariantVerdict, attacks: Attacks) -> dict[str, Any]:
+    explanation = verdict.explanation
     obligations = [
         {
             "name": o.obligation.name,
@@ -162,20 +166,20 @@ def _json(verdict: Verdict, attacks: Attacks) -> dict[str, Any]:
         "verdict": verdict.verdict,
         "robots": "any" if verdict.robots is None else verdict.robots,
         "obligations": obligations,
-        "counterexample": _found(told) if told is not None else None,
+        "counterexample": _found(explanation) if explanation is not None else None,
         "suggestion": suggestion(verdict) or verdict.reason or None,
         "assumptions": [*rests, *(entry._asdict() for entry in verdict.assumptions)],
     }
 
 
-def _attacked(attacked: Attacked) -> dict[str, Any]:
+def _attacked(attacked: AttackCount) -> dict[str, Any]:
     states, reason = attacked
     return {"attacked": states} if states else {"attacked": 0, "not_attacked": reason}
 
 
-def _found(told: Explanation) -> dict[str, Any] | None:
-    if told.counterexample is None:
+def _found(explanation: FailureExplanation) -> dict[str, Any] | None:
+    if explanation.counterexample is None:
         return None
     from koordgen.verify.prove.report.table import data
 
-    return data(told.counterexample, told.run)
+    return data(explanation.counterexample, explanation.run)

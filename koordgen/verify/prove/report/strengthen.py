@@ -1,8 +1,8 @@
-"""What an invariant lacks to be inductive: conjuncts of the program's own predicates that close the proof.
+"""Strengthening: conjuncts, made from the program's own predicates, that make an invariant inductive.
 
-A candidate is a conjunct of an invariant (or of what holds initially) in which one variable is replaced by another of
-the same type: the same bound on targets, on locals, on shared values. Houdini finds which candidates hold together;
-those that are not needed are then left out.
+A candidate is a conjunct of an invariant (or of an `initially` property) in which one variable is replaced by another
+of the same type: the same bound for targets, for locals, for shared values. Houdini finds the candidates that hold
+together. Those that the proof does not need are removed.
 """
 
 from __future__ import annotations
@@ -15,26 +15,29 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import map_children, walk
 from koordgen.lang.ir.types import BOOL, INT, POINT, RECT, Type, list_of
 from koordgen.lang.node import replace
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.koord_text import to_koord
 
-MOST = 24  # candidates that are tried
+MAX_CANDIDATES = 24  # most candidates that are tried
 MARK = "(candidate)"
 
 Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
 
 
-def closing(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
-    """The conjuncts, as a program writes them, with which the invariant is inductive; none where none was found.
-    `program` holds the invariants that may be relied upon and this one; `proves` says which of the named invariants are
-    kept, all invariants of a program being relied upon."""
+def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
+    """Return conjuncts in Koord with which the invariant is inductive; empty if none were found.
+
+    `program` contains this invariant and those that may be assumed. `proves` returns those of the named invariants that
+    are preserved when all invariants of a program are assumed."""
     for blocks in (True, False):
-        found = _closing(program, invariant, _candidates(program, invariant, blocks), proves)
+        found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:
             return found
     return ()
 
 
-def _closing(program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves) -> tuple[str, ...]:
+def _strengthening(
+    program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves
+) -> tuple[str, ...]:
     names = {c.name for c in candidates}
     while candidates:
         kept = proves(_with(program, candidates), frozenset({invariant, *names}))
@@ -49,7 +52,7 @@ def _closing(program: decl.Program, invariant: str, candidates: list[decl.Proper
         wanted = frozenset({invariant, *(c.name for c in fewer)})
         if wanted <= proves(_with(program, fewer), wanted):
             candidates = fewer
-    return tuple([spelled(c.formula) for c in candidates])
+    return tuple([to_koord(c.formula) for c in candidates])
 
 
 def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
@@ -57,29 +60,31 @@ def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
 
 
 def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
-    """`blocks`: all that is said of one variable is one candidate for another."""
+    """Return candidates.
+
+    `blocks`: all conjuncts about one variable together form one candidate about another."""
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
     known.sort(key=lambda p: p.name != invariant)  # its own predicates first
-    present = {spelled(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
+    present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:
         parts = list(conjuncts(property_.formula))
         for conjunct in _blocks(parts) if blocks else parts:
             for formula in (conjunct, *_variants(conjunct, program)):
-                text = spelled(formula)
+                text = to_koord(formula)
                 if text not in present:
                     found.setdefault(text, formula)
     for formula in _bounds(program):
-        text = spelled(formula)
+        text = to_koord(formula)
         if text not in present:
             found.setdefault(text, formula)
     span = next(p.span for p in known if p.name == invariant)
-    chosen = list(found.values())[:MOST]
+    chosen = list(found.values())[:MAX_CANDIDATES]
     return [decl.Property("invariant", f"{MARK} {i}", formula, span) for i, formula in enumerate(chosen)]
 
 
 def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
-    """That ints never are below what they begin with, or never above."""
+    """Yield bounds of ints: never below their initial value, or never above."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     for variable in variables:
         first, span = variable.initial, variable.span
@@ -101,7 +106,7 @@ def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
 
 
 def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
-    """A formula in parts: `forall` goes with each."""
+    """Yield the conjuncts of a formula. A `forall` is distributed over them."""
     match node:
         case ir.Logic("and", left, right):
             yield from conjuncts(left)
@@ -114,7 +119,7 @@ def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
-    """Conjuncts that speak of one and the same variable, of each robot alone, joined."""
+    """Join conjuncts that mention the same single variable, each for one robot."""
     found: dict[object, ir.Expr] = {}
     for part in parts:
         about = {_key(node) for node in walk(part)} - {None}
@@ -130,7 +135,7 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
 
 
 def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
-    """The formula about other variables: each variable in it by each other of its type, everywhere at once."""
+    """Yield variants of a formula in which one variable is replaced everywhere by another of its type."""
     subjects: dict[tuple[str, str], Type] = {}
     for node in walk(formula):
         key = _key(node)
@@ -147,7 +152,7 @@ def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
 
 
 def _variables(program: decl.Program) -> Iterator[tuple[tuple[str, str], Type]]:
-    """Every variable that each robot has one of: a key, and its type."""
+    """Yield every variable that exists once per robot: a key, and its type."""
     for module in program.modules:
         for port in module.ports:
             if port.direction in ("actuator", "sensor"):
@@ -175,7 +180,7 @@ def _key(node: object) -> tuple[str, str] | None:
 
 
 def _renamed(node: ir.Expr, key: tuple[str, str], other: tuple[str, str]) -> ir.Expr:
-    """A formula that reads another variable wherever it reads the one of that key, but in the index of such a read."""
+    """Replace all reads of the variable `key` by reads of `other`, except within the index of such a read."""
     if isinstance(node, _READS) and _key(node) == key:
         return _read(other, node.index if isinstance(node, ir.SlotRead) else node.robot, node)
     return map_children(node, lambda child: _renamed(child, key, other))
@@ -194,14 +199,14 @@ def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
             return ir.PortOf(kind.removeprefix("port "), name, robot, like.type, like.span)
 
 
-# Sensors of which no assumption says what they are after a step, so that any invariant about them fails; and what could
-# be assumed: that a robot stays in the box between where it is and its target.
+# Sensors whose values after a step no assumption constrains, so that any invariant about them fails; and an assumption
+# to suggest: a robot stays in the box between its position and its target.
 
 Sensor = tuple[decl.Module, decl.Port]
 
 
 def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
-    """Those that an invariant speaks of."""
+    """Return such sensors that an invariant mentions."""
     read = {(n.module, n.port) for n in walk(invariant.formula) if isinstance(n, ir.PortOf)}
     found = []
     for module in program.modules:
@@ -213,9 +218,10 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
     return found
 
 
-def supposing(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
-    """The program with an assumption about each position to which an actuator sends the robot, and these as it would
-    write them."""
+def with_position_assumptions(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
+    """Add an assumption about each position to which an actuator sends the robot.
+
+    Return the program with these assumptions, and their texts."""
     modules, texts = {m.name: m for m in program.modules}, []
     for module, port in sensors:
         goal = next((p.name for p in module.ports if p.meaning.held == port.name), None)
@@ -228,5 +234,5 @@ def supposing(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Pr
         kept = modules[module.name]
         assumed = (*kept.assumptions, decl.Assumption(formula, span))
         modules[module.name] = replace(kept, assumptions=assumed)
-        texts.append(f"using {module.name}: assume {spelled(formula).replace(f'{module.name}.', '')}")
+        texts.append(f"using {module.name}: assume {to_koord(formula).replace(f'{module.name}.', '')}")
     return replace(program, modules=tuple(modules.values())), tuple(texts)

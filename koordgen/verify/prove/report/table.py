@@ -1,4 +1,4 @@
-"""Counterexamples and runs, robot by variable, at most 100 columns wide; and as data."""
+"""Counterexamples and runs as tables of at most 100 columns, and as data for JSON."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from koordgen.lang.semantics.exact import Root
 from koordgen.lang.semantics.state import Robot, State
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
+from koordgen.verify.prove.report.koord_text import number, to_koord
 from koordgen.verify.prove.report.model import Conjunct, Counterexample
-from koordgen.verify.prove.report.reach import Moment, Run
-from koordgen.verify.prove.report.spell import number, spelled
+from koordgen.verify.prove.report.reach import CounterexampleRun, RunState
 
 WIDTH = 100
 CHANGED = "*"
 
 
 def wrapped(text: str, indent: str = "  ") -> list[str]:
-    """A sentence over as many lines as it takes."""
+    """Return a sentence in as many lines as it needs."""
     lines = textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -28,7 +28,7 @@ def wrapped(text: str, indent: str = "  ") -> list[str]:
 
 
 def counterexample(found: Counterexample) -> Iterator[str]:
-    """The step, what it makes false, and the table of what was before and after it."""
+    """Yield the step, the conjunct that it makes false, and the table of values before and after it."""
     yield from wrapped(f"{_step(found)}:")
     yield from failed_lines(found.failed, found.discarded, found.file)
     yield ""
@@ -49,11 +49,11 @@ def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str
     if failed is None:
         return wrapped(f"it has no result, {discarded}", "    ")
     bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
-    return wrapped(f"false then: {spelled(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
+    return wrapped(f"false then: {to_koord(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
 
 
 def table(found: Counterexample) -> Iterator[str]:
-    """Robot by variable, before and after; what changed is marked."""
+    """Yield the table of robots and variables before and after a step, with a mark at each change."""
     constants = {"N_SYS": len(found.before.robots), **found.before.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("robot", "variable", "before", "after")]
@@ -63,11 +63,11 @@ def table(found: Counterexample) -> Iterator[str]:
         rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
     yield from _columns(rows)
     if any("~" in column for row in rows for column in row):
-        yield from wrapped("(all is reckoned exactly; numbers behind ~ are shown rounded)")
+        yield from wrapped("(all numbers are exact; those behind ~ are shown rounded)")
 
 
 def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
-    """Whose, which variable, before, after: of all that matters; a robot's own, then what is shared."""
+    """Yield owner, name, value before and after of relevant variables: robots' first, then shared."""
     before, after = found.before, found.after
     for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
         for name, value in own(before, pid).items():
@@ -86,14 +86,14 @@ def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
 
 
 def own(state: State, pid: int) -> dict[str, Any]:
-    """What belongs to a robot: its locals, its ports, its slots."""
+    """Return one robot's variables: its locals, its ports, its slots."""
     robot: Robot = state.robots[pid]
     slots = {name: values[pid] for name, values in state.store.slots.items()}
     return {**robot.ports, **robot.locals, **slots}
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Columns side by side, within WIDTH: what is too wide goes on below."""
+    """Yield columns side by side, within WIDTH. A cell that is too wide continues on further lines."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     room = WIDTH - 2 - 2 * (len(widths) - 1) - widths[0] - widths[1]
     for i in (2, 3):
@@ -108,14 +108,14 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
             yield "  " + "  ".join(line).rstrip()
 
 
-def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
-    yield from moment_lines(run.moments)
+def run_lines(run: CounterexampleRun, found: Counterexample | None) -> Iterator[str]:
+    yield from run_state_lines(run.run_states)
     yield from failed_lines(run.failed, "", found.file if found else "")
-    yield from wrapped(order_told(run.of_agents))
+    yield from wrapped(agent_order_text(run.of_agents))
 
 
-def order_told(of_agents: bool) -> str:
-    """Say in words whether agents can do a run."""
+def agent_order_text(of_agents: bool) -> str:
+    """Return a sentence that says whether agents can execute a run."""
     if of_agents:
         return "the agents' order can do this run"
     return (
@@ -124,18 +124,18 @@ def order_told(of_agents: bool) -> str:
     )
 
 
-def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
-    """A run, step by step: what each changes."""
-    first = moments[0].state
+def run_state_lines(run_states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a run step by step, with the changes of each."""
+    first = run_states[0].state
     constants = {"N_SYS": len(first.robots), **first.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("round", "step", "", "")]
-    for old, moment in zip((None, *moments), moments, strict=False):
-        by = moment.event or "the beginning"
-        step = f"{by} of robot {moment.pid}" if moment.pid is not None else by
-        changes = list(_changes(old.state if old else None, moment.state))
+    for old, run_state in zip((None, *run_states), run_states, strict=False):
+        by = run_state.event or "the beginning"
+        step = f"{by} of robot {run_state.pid}" if run_state.pid is not None else by
+        changes = list(_changes(old.state if old else None, run_state.state))
         for i, change in enumerate(changes or ["nothing changes"]):
-            rows.append((str(moment.round) if not i else "", step if not i else "", change, ""))
+            rows.append((str(run_state.round) if not i else "", step if not i else "", change, ""))
     yield from _columns(rows)
 
 
@@ -150,8 +150,8 @@ def _changes(old: State | None, new: State) -> Iterator[str]:
             yield f"{name} = {shown(value)}"
 
 
-def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
-    """As JSON has it."""
+def data(found: Counterexample, run: CounterexampleRun | None) -> dict[str, Any]:
+    """Return a counterexample for JSON."""
     rows = [
         {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
         for owner, name, before, after in cells(found)
@@ -164,20 +164,20 @@ def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
         "line": found.line,
         "robots": len(found.before.robots),
         "params": _texts(found.before.params),
-        "conjunct": spelled(found.failed.formula) if found.failed else found.discarded,
+        "conjunct": to_koord(found.failed.formula) if found.failed else found.discarded,
         "names": _texts(found.failed.names) if found.failed else {},
         "cells": rows,
-        "run": moments_data(run.moments) if run else None,
+        "run": run_states_data(run.run_states) if run else None,
         "order_of_agents": run.of_agents if run else None,
     }
 
 
-def moments_data(moments: Sequence[Moment]) -> list[dict[str, Any]]:
-    """A run as JSON has it."""
-    return [_moment(m.event, m.pid, m.round, m.state) for m in moments]
+def run_states_data(run_states: Sequence[RunState]) -> list[dict[str, Any]]:
+    """Return a run for JSON."""
+    return [_run_state(m.event, m.pid, m.round, m.state) for m in run_states]
 
 
-def _moment(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
+def _run_state(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
     robots = [_texts(own(state, i)) for i in range(len(state.robots))]
     return {"round": number, "event": event, "robot": pid, "robots": robots, "shared": _texts(state.store.cells)}
 

@@ -1,4 +1,4 @@
-"""A counterexample as a trace (see docs/reference/trace.md), which simulators and replayers read."""
+"""Trace of a counterexample (docs/reference/trace.md), which simulators and replayers can read."""
 
 from __future__ import annotations
 
@@ -26,74 +26,79 @@ from koordgen.runtime.trace.schema import (
     plain,
 )
 from koordgen.runtime.values.points import Point
-from koordgen.verify.prove.report.explain import Explanation
+from koordgen.verify.prove.report.explain import FailureExplanation
+from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.model import Conjunct, Counterexample, plain_value
-from koordgen.verify.prove.report.reach import Moment, no_way
-from koordgen.verify.prove.report.spell import spelled
+from koordgen.verify.prove.report.reach import RunState, no_path
 
-UNMOVED = ("", "(environment)")  # moments at which no robot did anything
+UNMOVED = ("", "(environment)")  # steps in which no robot acts
 
-# What a callable port may say: to a robot, by what its sensors say, the port, the arguments.
+# (pid, values of the robot's sensors, port, arguments) -> possible answers of the callable port.
 Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 
 
-class About(NamedTuple):
-    """What a run was made with: the hash of the very program ("" where it has no numbers that robots have), the params
-    that it was given, what its callable ports may have said, its extern functions."""
+class RunOrigin(NamedTuple):
+    """Origin of a run.
+
+    `program_hash`: "" if the run has numbers that robots do not have; `given`: the params given on the command line;
+    `answers`: possible answers of its callable ports; `externs`: its extern functions."""
 
     program_hash: str = ""
     given: tuple[str, ...] = ()
-    answers: Answers = lambda pid, sensors, port, args: (no_way(pid, port, args),)
+    answers: Answers = lambda pid, sensors, port, args: (no_path(pid, port, args),)
     externs: Mapping[str, Callable[..., Value]] = {}
 
 
-def trace(program: decl.Program, told: Explanation, about: About) -> str:
-    """JSON lines: a header, then each step as a round of each robot, and where the robots are where a sensor tells; a
-    last one tells what is violated. One second stands for each round. Numbers that are no float are fractions, as text.
-    """
-    found = told.counterexample
+def trace(program: decl.Program, explanation: FailureExplanation, about: RunOrigin) -> str:
+    """Return the trace of a counterexample as JSON lines; empty if there is none.
+
+    They are a header, then each step as a round of each robot, with its position if a sensor measures it, and the
+    violation last. Each round takes one second. A number that is no float is a fraction, as text."""
+    found = explanation.counterexample
     if found is None:
         return ""
     failed: Conjunct | None
     culprit = None
-    if told.run is not None:
-        moments, failed = told.run.moments, told.run.failed
+    if explanation.run is not None:
+        run_states, failed = explanation.run.run_states, explanation.run.failed
     else:
-        moments, failed = _pair(found), found.failed
+        run_states, failed = _pair(found), found.failed
         if found.discarded and found.pid is not None:
-            moments, culprit = moments[:1], (found.pid, found.event)
+            run_states, culprit = run_states[:1], (found.pid, found.event)
     line = failed.formula.span.line if failed is not None else found.line
-    detail = f"false: {spelled(failed.formula)}" if failed is not None else found.discarded
-    return run_trace(program, moments, (found.invariant, line, detail), about, culprit)
+    detail = f"false: {to_koord(failed.formula)}" if failed is not None else found.discarded
+    return run_trace(program, run_states, (found.invariant, line, detail), about, culprit)
 
 
 def run_trace(
-    program: decl.Program, moments: tuple[Moment, ...], violated: tuple[str, int, str] | None, about: About,
+    program: decl.Program, run_states: tuple[RunState, ...], violated: tuple[str, int, str] | None, about: RunOrigin,
     culprit: tuple[int, str] | None = None,
 ) -> str:  # fmt: skip
-    """A run; `violated`: the property that its last moment violates, its line in the program, and how. `culprit` is the
-    robot, and its event, that would come next and has no result, where that is what is wrong."""
-    lines: list[TraceRecord] = [_header(program, moments, about), *_steps(program, moments, about)]
+    """Return the trace of a run.
+
+    `violated`: the property that its last state violates, its line in the program, and details. `culprit`: the robot
+    and the event that would come next but have no result, if that is the failure."""
+    lines: list[TraceRecord] = [_header(program, run_states, about), *_steps(program, run_states, about)]
     if violated is not None:
         name, line, detail = violated
-        robots = tuple(f"robot{pid}" for pid in range(len(moments[-1].state.robots)))
+        robots = tuple(f"robot{pid}" for pid in range(len(run_states[-1].state.robots)))
         pid, event = culprit or (LEFT_OUT, LEFT_OUT)
-        t, place = float(moments[-1].round), f"{program.path}:{line}"
+        t, place = float(run_states[-1].round), f"{program.path}:{line}"
         lines.append(Violation(t, "property", robots, detail, name, place, LEFT_OUT, program.name, pid, event))
     return "".join(json.dumps(plain(line)) + "\n" for line in lines)
 
 
-def _pair(found: Counterexample) -> tuple[Moment, ...]:
-    """An event, or init, or a step of the environment."""
+def _pair(found: Counterexample) -> tuple[RunState, ...]:
+    """Return the states before and after an event, an `init` or a step of the environment."""
     if found.kind == "base":
-        return Moment(found.before, "", None, 0), Moment(found.after, "init", None, 0)
+        return RunState(found.before, "", None, 0), RunState(found.after, "init", None, 0)
     if found.kind == "environment":
-        return Moment(found.before, "", None, 1), Moment(found.after, "(environment)", None, 1)
-    return Moment(found.before, "", None, 1), Moment(found.after, found.event, found.pid, 1)
+        return RunState(found.before, "", None, 1), RunState(found.after, "(environment)", None, 1)
+    return RunState(found.before, "", None, 1), RunState(found.after, found.event, found.pid, 1)
 
 
-def _header(program: decl.Program, moments: tuple[Moment, ...], about: About) -> Header:
-    state = moments[0].state
+def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Header:
+    state = run_states[0].state
     return Header(
         format=FORMAT,
         app=program.name,
@@ -101,30 +106,30 @@ def _header(program: decl.Program, moments: tuple[Moment, ...], about: About) ->
         delta=1.0,
         seed=0,
         robots=tuple([RobotName(f"robot{pid}", pid, "proof") for pid in range(len(state.robots))]),
-        duration=float(moments[-1].round),
+        duration=float(run_states[-1].round),
         shared=tuple([Shared(v.name, v.kind, str(v.type)) for v in program.shared]),
         applications=(program.name,),
-        counterexample="step" if moments[0].round else "run",
+        counterexample="step" if run_states[0].round else "run",
         params=_plain(state.params),
         given=about.given,
     )
 
 
-def _steps(program: decl.Program, moments: tuple[Moment, ...], about: About) -> Iterator[Pose | Round]:
+def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[Pose | Round]:
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
-    for index, moment in enumerate(moments):
-        state = moment.state
-        calls: Mapping[int, Any] = _calls(program, moments, index, about)
+    for index, run_state in enumerate(run_states):
+        state = run_state.state
+        calls: Mapping[int, Any] = _calls(program, run_states, index, about)
         for pid, robot in enumerate(state.robots):
-            acted = moment.pid in (None, pid)
+            acted = run_state.pid in (None, pid)
             slots = {name: values[pid] for name, values in state.store.slots.items()}
             place = next((robot.ports[name] for name in positions(program)), None)
             if isinstance(place, Point):
                 position = (float(place.x), float(place.y), float(place.z))
-                yield Pose(pid, position, 0.0, LEFT_OUT, float(moment.round))
+                yield Pose(pid, position, 0.0, LEFT_OUT, float(run_state.round))
             yield Round(
-                round=moment.round,
-                event=moment.event if acted and moment.event not in UNMOVED else None,
+                round=run_state.round,
+                event=run_state.event if acted and run_state.event not in UNMOVED else None,
                 skipped=None if acted else "another robot's step",
                 fault=LEFT_OUT,
                 late=LEFT_OUT,
@@ -140,37 +145,37 @@ def _steps(program: decl.Program, moments: tuple[Moment, ...], about: About) -> 
                 clock_bound=LEFT_OUT,
                 counters=LEFT_OUT,
                 time=LEFT_OUT,
-                t=float(moment.round),
+                t=float(run_state.round),
                 pid=pid,
                 application=program.name,
-                step=moment.event or "the beginning",
+                step=run_state.event or "the beginning",
             )
 
 
 Calls = list[tuple[str, list[Any], Any]]  # port, arguments, answer, in JSON
 
 
-def _calls(program: decl.Program, moments: tuple[Moment, ...], index: int, about: About) -> dict[int, Calls]:
-    """What callable ports were asked in a step, and said, by the robot that asked."""
-    moment = moments[index]
-    if moment.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
+def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin) -> dict[int, Calls]:
+    """Return the calls of callable ports in a step with their answers, by the calling robot."""
+    run_state = run_states[index]
+    if run_state.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
         return {}
-    acting = range(len(moment.state.robots)) if moment.pid is None else (moment.pid,)
-    return {pid: _asked(program, moments, index, about, pid) for pid in acting}
+    acting = range(len(run_state.state.robots)) if run_state.pid is None else (run_state.pid,)
+    return {pid: _asked(program, run_states, index, about, pid) for pid in acting}
 
 
-def _asked(program: decl.Program, moments: tuple[Moment, ...], index: int, about: About, pid: int) -> Calls:
-    """The step is run again with all that may have been answered, until it does what it did."""
-    moment, before = moments[index], moments[index - 1].state
-    begun = next(m.state for m in reversed(moments[:index]) if m.round < moment.round or m is moments[0])
+def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin, pid: int) -> Calls:
+    """Run the step again with every combination of possible answers, until its effect is that of the run."""
+    run_state, before = run_states[index], run_states[index - 1].state
+    begun = next(m.state for m in reversed(run_states[:index]) if m.round < run_state.round or m is run_states[0])
     pending: list[tuple[int, ...]] = [()]
-    for scripted in pending:  # grows meanwhile
+    for scripted in pending:  # grows within the loop
         script = _Script(about, before.robots[pid].ports, scripted)
-        done = _again(program, moment.event, before, begun, pid, World(about.externs, script.answer))
+        done = _again(program, run_state.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):
-            after = applied(program, before, Step(pid, moment.event, done))
-            others = moment.pid is None or after.store == moment.state.store
-            if others and after.robots[pid] == moment.state.robots[pid]:
+            after = applied(program, before, Step(pid, run_state.event, done))
+            others = run_state.pid is None or after.store == run_state.state.store
+            if others and after.robots[pid] == run_state.state.robots[pid]:
                 return script.calls
         pending += script.others()
     return []
@@ -179,7 +184,7 @@ def _asked(program: decl.Program, moments: tuple[Moment, ...], index: int, about
 def _again(
     program: decl.Program, name: str, before: State, begun: State, pid: int, world: World
 ) -> Writes | Discarded | None:
-    """A step of a round that began with the store of `begun`; None where it cannot be run."""
+    """Run a step of a round that began with the store of `begun`. None if the step cannot be run."""
     event = next((e for e in program.events if e.name == name), None)
     seen = before if event is None or event.lock is not None else before._replace(store=begun.store)
     try:
@@ -191,10 +196,12 @@ def _again(
 
 
 class _Script:
-    """Answers the callable ports in one run of a step: to the k-th question the `scripted[k]`-th of what may be said,
-    beyond it the first; equal questions the same."""
+    """Answers to callable ports in one run of a step.
 
-    def __init__(self, about: About, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
+    The k-th question gets its `scripted[k]`-th possible answer, later questions the first one. Equal questions get
+    equal answers."""
+
+    def __init__(self, about: RunOrigin, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted
         self._given: dict[str, Value] = {}
         self._options: list[int] = []
@@ -212,7 +219,7 @@ class _Script:
         return self._given[key]
 
     def others(self) -> Iterator[tuple[int, ...]]:
-        """The scripts that first say something else at a question that this one did not foresee."""
+        """Yield scripts that answer one question differently that this script did not cover."""
         for place in range(len(self._scripted), len(self._options)):
             begin = (*self._scripted, *([0] * (place - len(self._scripted))))
             yield from ((*begin, other) for other in range(1, self._options[place]))

@@ -1,7 +1,7 @@
-"""From obligations to verdicts: asks the solver, drops what fails and proves the rest again, explains what fails.
+"""Verdicts of invariants: asks the solver, drops failed invariants, proves the rest, explains.
 
-PROVED is said only when every obligation of an invariant got the answer that proves it, with hypotheses that are
-themselves PROVED and assumptions that were seen to be consistent. Everything else is something else.
+PROVED is given only if every obligation of an invariant got the answer that proves it, with hypotheses that are
+themselves PROVED and assumptions that were shown to be consistent. In all other cases the verdict is a different one.
 """
 
 from __future__ import annotations
@@ -12,59 +12,69 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Expr
 from koordgen.lang.node import replace
-from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligations, rooms
-from koordgen.verify.prove.obligations.moment import Told
-from koordgen.verify.prove.report.ledger import Entry, Ledger
-from koordgen.verify.prove.smt.obligation import AtHead, Obligation
+from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligation_groups, obligations
+from koordgen.verify.prove.obligations.part_encoder import Detail
+from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
+from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
-from koordgen.verify.prove.smt.solve import Answer, Both, Outcome, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
-if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
-    from koordgen.verify.prove.report.explain import Explanation
+if TYPE_CHECKING:  # Explainer runs programs: a proof needs none of that, and its import takes long
+    from koordgen.verify.prove.report.explain import FailureExplanation
 
-Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
+VerdictName = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
 WELL_DEFINED = "(well-defined)"
-MORE: tuple[Told, ...] = ("usual", "most")
+MORE: tuple[Detail, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
-    """A checked program; for how many robots (None: any number); params that are fixed, the others being any."""
+    """A checked program, its number of robots (None: any number), and its fixed params.
+
+    Other params are arbitrary."""
 
     program: decl.Program
     robots: int | None = None
     params: Mapping[str, Expr] | None = None
 
 
-class Asked(NamedTuple):
-    """The solver's answers to all obligations, once none of what is assumed at heads of loops fails: `dropped` was
-    tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
+class SolvedObligations(NamedTuple):
+    """Answers to all obligations, after no formula that is assumed at a loop's head fails any more.
 
-    outcomes: list[Outcome]
-    dropped: frozenset[AtHead]
-    lost: dict[str, tuple[Outcome, ...]]
+    `dropped`: such formulas that failed. `lost`: the failed obligations of invariants that the program states at
+    loops."""
+
+    outcomes: list[ObligationResult]
+    dropped: frozenset[HeadFormula]
+    lost: dict[str, tuple[ObligationResult, ...]]
 
 
-class Verdict(NamedTuple):
-    """`reason` says why it is no proof, in a sentence; `rests_on` are the other invariants that a proof uses."""
+class InvariantVerdict(NamedTuple):
+    """Verdict of one invariant.
+
+    `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
 
     invariant: str
-    verdict: Name
+    verdict: VerdictName
     robots: int | None
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[ObligationResult, ...]
     reason: str
-    explanation: Explanation | None
+    explanation: FailureExplanation | None
     rests_on: tuple[str, ...]
-    assumptions: tuple[Entry, ...]
+    assumptions: tuple[LedgerEntry, ...]
 
 
-def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
-    """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
+def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerdict]:
+    """Return a verdict for each invariant, in the program's order, well-definedness first.
+
+    Raises SolverMissing."""
     solver.start()
     program = question.program
-    asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
+    asked = _as_for_any(question, program, solver) or _settled(
+        question, program, solver, SolvedObligations([], frozenset(), {})
+    )
     names = _names(program, asked)
     groups = _groups(asked.outcomes)
-    failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
+    failed: dict[str, tuple[tuple[ObligationResult, ...], decl.Program]] = {}
     while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
         failed.update({name: (groups[name], program) for name in failing})
         without = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
@@ -80,22 +90,24 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     found, ledger = [], Ledger(question.program)
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
-        told = explained.get(name)
-        verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
+        explanation = explained.get(name)
+        verdict, reason = _verdict(question.program, group, explanation, contradiction, doubt)
         assumed = ledger.of([o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
-        found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
+        found.append(InvariantVerdict(name, verdict, question.robots, group, reason, explanation, rests, assumed))
     return found
 
 
 def _explained(
     question: Question,
-    failed: Mapping[str, tuple[tuple[Outcome, ...], decl.Program]],
-    solver: Solver | Both,
+    failed: Mapping[str, tuple[tuple[ObligationResult, ...], decl.Program]],
+    solver: Solver | CrossCheck,
     proved: decl.Program,
-    dropped: frozenset[AtHead],
-) -> dict[str, Explanation]:
-    """Why each fails; `proved` has the invariants that are PROVED."""
+    dropped: frozenset[HeadFormula],
+) -> dict[str, FailureExplanation]:
+    """Return explanations of the failed invariants by name.
+
+    `proved` is the program with only the PROVED invariants."""
     if not failed:
         return {}
     from koordgen.verify.prove.report.explain import Explainer
@@ -105,15 +117,21 @@ def _explained(
 
 
 def _settled(
-    question: Question, program: decl.Program, solver: Solver | Both, before: Asked, more: Sequence[Told] = MORE
-) -> Asked:
-    """Ask, and drop what fails at the heads of loops, until nothing fails there."""
+    question: Question,
+    program: decl.Program,
+    solver: Solver | CrossCheck,
+    before: SolvedObligations,
+    more: Sequence[Detail] = MORE,
+) -> SolvedObligations:
+    """Ask all obligations until no formula fails that is assumed at a loop's head.
+
+    Formulas that fail there are dropped, and all obligations are asked again."""
     dropped, lost = before.dropped, dict(before.lost)
     while True:
         outcomes = _asked(question, program, solver, dropped, more)
         failing = [o for o in outcomes if o.obligation.at is not None and not o.holds]
         if not failing:
-            return Asked(outcomes, dropped, lost)
+            return SolvedObligations(outcomes, dropped, lost)
         dropped |= {o.obligation.at for o in failing if o.obligation.at is not None}
         stated = {o.obligation.invariant for o in failing} - {p.name for p in program.properties}
         groups = _groups(outcomes)
@@ -121,63 +139,79 @@ def _settled(
 
 
 def _asked(
-    question: Question, program: decl.Program, solver: Solver | Both, dropped: frozenset[AtHead], more: Sequence[Told]
-) -> list[Outcome]:
-    """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
-    told, where that is something else."""
+    question: Question,
+    program: decl.Program,
+    solver: Solver | CrossCheck,
+    dropped: frozenset[HeadFormula],
+    more: Sequence[Detail],
+) -> list[ObligationResult]:
+    """Return the results of all obligations, with few facts at first.
+
+    Those that fail are asked again with more facts, if that changes their text."""
     robots, params = question.robots, question.params
-    found = [Outcome(*each) for each in solver.ask_all(rooms(program, robots, params, "little", dropped))]
-    for told in more:
-        if all(outcome.holds or outcome.obligation.unwritten for outcome in found):
-            break  # with more told, formulas only grow
-        others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
+    found = [
+        ObligationResult(*each)
+        for each in solver.ask_all(obligation_groups(program, robots, params, "little", dropped))
+    ]
+    for detail in more:
+        if all(outcome.holds or outcome.obligation.too_large for outcome in found):
+            break  # more facts only make formulas larger
+        others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
-def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> Asked | None:
-    """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
-    assumptions are consistent must be seen for this number. None, where something does not hold for every number."""
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> SolvedObligations | None:
+    """Prove for any number of robots what is asked for one number.
+
+    What holds for every number holds for this one, and is decided faster. Consistency of the assumptions must still be
+    shown for this number. None if something does not hold for every number."""
     if question.robots is None:
         return None
-    general = _settled(question._replace(robots=None), program, solver, Asked([], frozenset(), {}), MORE[:1])
-    # SOUND: all of them or none: what holds behind a loop rests on what its turns keep, of which nothing is asked where
-    # it is written out.
+    general = _settled(
+        question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1]
+    )
+    # SOUND: all results or none. What holds after a cut loop rests on its invariants, which have no obligations if the
+    # loop is unrolled.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
         return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
     others = [o for o in general.outcomes if o.obligation.kind != "consistency"]
-    return general._replace(outcomes=[*(Outcome(*each) for each in numbered), *others])
+    return general._replace(outcomes=[*(ObligationResult(*each) for each in numbered), *others])
 
 
-def _again(outcome: Outcome, others: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+def _again(
+    outcome: ObligationResult, others: Mapping[str, Obligation], solver: Solver | CrossCheck
+) -> ObligationResult:
     other = others.get(outcome.obligation.name)
     if other is None:
         return outcome
     if script(other) == script(outcome.obligation):
-        return Outcome(other, outcome.answer)
+        return ObligationResult(other, outcome.answer)
     answer = solver.ask(other)
-    return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
+    return ObligationResult(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
 
 
-def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:
-    """The obligations of each invariant."""
-    found: dict[str, list[Outcome]] = {}
+def _groups(outcomes: Sequence[ObligationResult]) -> dict[str, tuple[ObligationResult, ...]]:
+    """Return the results of each invariant's obligations."""
+    found: dict[str, list[ObligationResult]] = {}
     for outcome in outcomes:
         if outcome.obligation.kind != "consistency":
             found.setdefault(outcome.obligation.invariant, []).append(outcome)
     return {name: tuple(group) for name, group in found.items()}
 
 
-def _names(program: decl.Program, asked: Asked) -> list[str]:
+def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
     found = dict.fromkeys(o.obligation.invariant for o in asked.outcomes if o.obligation.kind != "consistency")
     found.update(dict.fromkeys(asked.lost))
     found.update(dict.fromkeys(p.name for p in program.properties if p.kind == "invariant"))
     return list(found)
 
 
-def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
-    """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
+def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
+    """Return a contradiction among the assumptions, and why consistency is undecided.
+
+    Both empty if it is shown."""
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation
@@ -185,18 +219,18 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
             continue
         if outcome.answer.result == "unknown":
             place = f"{obligation.name} ({obligation.file}:{obligation.line})"
-            doubt = f"{place}: whether the assumptions contradict one another was not decided: {outcome.answer.reason}"
+            doubt = f"{place}: consistency of the assumptions is undecided: {outcome.answer.reason}"
             continue
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
-        told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
+        conflicting = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
         state = "state of two robots or more" if obligation.event == OF_TWO else "state"
-        return f"no {state} satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
+        return f"no {state} satisfies {' and '.join(conflicting) or 'the assumptions'}: anything follows from that", ""
     return "", doubt
 
 
-def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
-    """Return whether an event cannot get to its end for reasons of its own, whatever is assumed of what it calls."""
+def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | CrossCheck) -> bool:
+    """Return whether an event cannot reach its end even without the assumptions about its calls."""
     if not obligation.event or answer.result != "unsat":
         return False
     own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
@@ -204,25 +238,31 @@ def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> b
 
 
 def _verdict(
-    program: decl.Program, group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str
-) -> tuple[Name, str]:
+    program: decl.Program,
+    group: tuple[ObligationResult, ...],
+    explanation: FailureExplanation | None,
+    contradiction: str,
+    doubt: str,
+) -> tuple[VerdictName, str]:
     if contradiction:
         return "VACUOUS", contradiction
-    if told is not None and told.run is not None:
+    if explanation is not None and explanation.run is not None:
         return "FALSIFIED", ""
-    if told is not None and told.counterexample is not None:
+    if explanation is not None and explanation.counterexample is not None:
         return "NOT INDUCTIVE", ""
     failing = [o for o in group if not o.holds]
     if failing:
         first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
-        from koordgen.verify.prove.report import doubt as doubts
+        from koordgen.verify.prove.report.unknown import unknown_reason
 
-        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, told.unshown if told else "")
+        return "UNKNOWN", unknown_reason(
+            program, first.obligation, first.answer, explanation.unshown if explanation else ""
+        )
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 
-def _rests_on(name: str, group: tuple[Outcome, ...], program: decl.Program) -> tuple[str, ...]:
-    """The other invariants whose lines stand among the facts of this one's obligations."""
+def _rests_on(name: str, group: tuple[ObligationResult, ...], program: decl.Program) -> tuple[str, ...]:
+    """Return the other invariants that are among the facts of an invariant's obligations."""
     lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
     return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])

@@ -1,7 +1,7 @@
-"""Serves the Python package cvc5 as a solver over standard input and output, as its executable would.
+"""Server of the Python package cvc5: a solver on standard input and output, like cvc5's executable.
 
-Run as a file, in a process of its own; imports nothing of koordgen. `(reset)` gives a new solver, so that options can
-be set again.
+It is run as a file in its own process and imports nothing of koordgen. `(reset)` makes a new solver, so that options
+can be set again.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ def commands() -> None:
 
 
 def boundary(text: str) -> int:
-    """Where the next part ends that can be run: behind an `echo`, which ends each question, else nowhere."""
+    """Return the end of the next text to run: behind its `echo`, which ends each query.
+
+    -1 if none is complete."""
     start = text.find('(echo "')
     end = text.find(")\n", start) if start >= 0 else -1
     return end + 2 if end >= 0 else -1

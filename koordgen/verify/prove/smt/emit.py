@@ -1,4 +1,4 @@
-"""The folder that anyone can check offline, with any solver for SMT-LIB: one file an obligation, and a script."""
+"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all of them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Iterable
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.smtlib import Line, document
 
-# Reads from each file what it expects; whatever else a solver says is no proof.
+# The script reads the expected answer from each file. Any other output of a solver counts as no proof.
 RUN = """\
 #!/bin/sh
-# Checks every obligation of this folder with a solver for SMT-LIB 2.6, and whether it answers what the file expects.
-# usage: sh run.sh [SOLVER [OPTION...]]      (z3 if none is named; the file's name is put behind)
-# status: 0 all as expected, 3 some are not, 5 there is no such solver
+# Checks every obligation in this folder with a solver for SMT-LIB 2.6. Each file contains the expected answer.
+# usage: sh run.sh [SOLVER [OPTION...]]      (default: z3; the name of a file is appended)
+# status: 0 all as expected, 3 some are not, 5 the solver is not installed
 cd "$(dirname "$0")" || exit 5
 [ $# -gt 0 ] || set -- z3
-command -v "$1" >/dev/null || { echo "run.sh: there is no $1 here" >&2; exit 5; }
+command -v "$1" >/dev/null || { echo "run.sh: $1 is not installed" >&2; exit 5; }
 all=0 wrong=0
 for file in *.smt2; do
   wanted=$(sed -n 's/^(set-info :status \\([a-z]*\\))$/\\1/p' "$file")
@@ -35,7 +35,7 @@ echo "$all obligations, $wrong not as expected"
 
 
 def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
-    """The files by name. The same obligations give the same bytes."""
+    """Return the files by name. The same obligations give the same bytes."""
     files = {"run.sh": RUN.encode()}
     for obligation in obligations:
         name = file_name(obligation)
@@ -47,5 +47,5 @@ def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
 
 
 def file_name(obligation: Obligation) -> str:
-    """What an obligation's file is called, without its ending."""
+    """Return the name of an obligation's file, without its ending."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", obligation.name).strip("-")

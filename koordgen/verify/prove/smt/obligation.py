@@ -1,6 +1,6 @@
-"""What is to be shown, as data: facts, a goal, and which terms are which variables of the program.
+"""Proof obligations as data: facts, a goal, and the terms that stand for variables of the program.
 
-`obligations` of generate.py makes them; others print, solve and explain them.
+The room `obligations` makes them; other modules print, solve and explain them.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from koordgen.lang.node import Node
 from koordgen.verify.prove.smt.term import Term
 
 Kind = Literal["base", "event", "environment", "loop", "well-defined", "consistency"]
-Moment = Literal["round start", "before", "after"]
+StateName = Literal["round start", "before", "after"]
 
 
-class Fact(Node):
-    """A formula and where it comes from: its label says what it is ("invariant Geofence", "guard of Assign"), `file`
-    and `line` where the program says so. `position`: how many loop heads and loop ends stand before the place of the
-    event at which the formula is known; a goal uses only facts whose position is at most its own."""
+class LabelledFormula(Node):
+    """A formula with its origin.
+
+    `label` describes it ("invariant Geofence", "guard of Assign"); `file` and `line` name its place in the program.
+    `position`: the number of loop heads and loop ends in the event before the place at which the formula is known. A
+    goal uses only facts whose position is at most its own."""
 
     label: str
     term: Term
@@ -27,21 +29,25 @@ class Fact(Node):
     position: int = 0
 
 
-class Cell(Node):
-    """One variable of the program at one moment: `terms` are its value's parts, in the order in which parts.py
-    flattens its type. `robot`: whose it is, a term of sort Int; None of an allwrite variable. `name` as the program
-    writes it: "x", "leader", "Motion.position"; params are cells, too."""
+class StateCell(Node):
+    """One variable of the program in one state.
+
+    `terms`: the parts of its value, in the order in which `shape` of encode/values.py flattens its type. `robot`: its
+    owner, a term of sort Int; None for an allwrite variable. `name` as the program writes it: "x", "leader",
+    "Motion.position". Params are included."""
 
     name: str
     robot: Term | None
     type: Type
     terms: tuple[Term, ...]
-    moment: Moment
+    state_name: StateName
 
 
-class AtHead(NamedTuple):
-    """One formula that is assumed at one loop's head: the `number`-th loop of `owner` (an event, `init` or a function).
-    `invariant` names it: an invariant of the program, or the line of one that stands at the loop."""
+class HeadFormula(NamedTuple):
+    """One formula that is assumed at the head of one loop.
+
+    The loop is the `number`-th one of `owner` (an event, `init` or a function). `invariant` names an invariant of the
+    program, or the line of an invariant that stands at the loop."""
 
     owner: str
     number: int
@@ -49,13 +55,16 @@ class AtHead(NamedTuple):
 
 
 class Obligation(Node):
-    """The facts imply the goal, where `expected` is "unsat" (of the facts and the goal's negation); a consistency
-    obligation has no goal and its facts are satisfiable. `invariant` is its name ("(well-defined)" for that one);
-    `event` the event's or "init", "(environment)", "" where there is none. `conjuncts`: the goal in parts, so that a
-    counterexample can tell which of them fails. `robots`: None for every N_SYS. `notes`: each approximation that was
-    made, and what is assumed without being in the program. `at`: of kind "loop", the head of a loop and what is assumed
-    there. `unwritten`: the reason why its formulas were not written down, where they are too large: no solver is asked,
-    and the answer is "unknown"."""
+    """A claim for a solver.
+
+    If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the goal's negation are
+    unsatisfiable. A consistency obligation has no goal and claims that its facts are satisfiable.
+
+    `invariant`: the invariant's name, or "(well-defined)". `event`: the event's name, "init", "(environment)" or "".
+    `conjuncts`: the goal in parts, so that a counterexample can show which of them fails. `robots`: None for every
+    N_SYS. `notes`: each approximation that was made, and each assumption that is not in the program. `at`: for kind
+    "loop", the loop head and the formula there. `too_large`: the reason why the formulas were not encoded because they
+    exceed a limit; then no solver is asked, and the answer is "unknown"."""
 
     name: str
     kind: Kind
@@ -64,12 +73,12 @@ class Obligation(Node):
     file: str
     line: int
     logic: str
-    facts: tuple[Fact, ...]
-    goal: Fact | None
+    facts: tuple[LabelledFormula, ...]
+    goal: LabelledFormula | None
     expected: Literal["unsat", "sat"]
-    conjuncts: tuple[Fact, ...]
-    cells: tuple[Cell, ...]
+    conjuncts: tuple[LabelledFormula, ...]
+    cells: tuple[StateCell, ...]
     robots: int | None
     notes: tuple[str, ...]
-    at: AtHead | None = None
-    unwritten: str = ""
+    at: HeadFormula | None = None
+    too_large: str = ""

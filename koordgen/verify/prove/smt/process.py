@@ -1,4 +1,4 @@
-"""A program that runs beside us, and the ends of its pipes. Importing subprocess takes longer than a query."""
+"""Child process with pipes. It avoids the module subprocess, whose import takes longer than a query."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ CHUNK = 1 << 16
 KILLED = 9  # signal.SIGKILL: to import signal takes 0.6 ms
 
 
-class Ended(Exception):
-    """It has closed its output."""
+class ProcessEnded(Exception):
+    """The process has closed its output."""
 
 
-def allowed(memory: int) -> int:
-    """So many megabytes, or as many as we have ourselves where those are fewer."""
+def memory_limit(memory: int) -> int:
+    """Return `memory` in megabytes, or this process' own limit if that is less."""
     own = resource.getrlimit(resource.RLIMIT_AS)[0]
     return memory if own == resource.RLIM_INFINITY else min(memory, own >> 20)
 
 
 class Process:
-    """What it is told waits in `unsent` until it reads; what it said, in `read`, and in `times` how much of that had
-    come when."""
+    """One child process.
+
+    `unsent`: input that it has not read yet; `read`: its output; `times`: pairs of the length of `read` and the time
+    when that length was reached."""
 
     def __init__(self, command: Sequence[str], memory: int) -> None:
-        """Starts it, with so many megabytes at most. Raises OSError where that cannot be."""
+        """Start the command with at most `memory` megabytes. Raises OSError if it cannot be started."""
         theirs_in, self.sink = os.pipe()
         self.source, theirs_out = os.pipe()
         silent = os.open(os.devnull, os.O_WRONLY)
@@ -44,42 +46,42 @@ class Process:
                 os.close(end)
         os.set_blocking(self.sink, False)
         os.set_blocking(self.source, False)
-        with suppress(AttributeError, OSError):  # where a process' memory cannot be limited from outside
+        with suppress(AttributeError, OSError):  # systems on which no other process' memory can be limited
             resource.prlimit(self.pid, resource.RLIMIT_AS, (memory << 20, memory << 20))
         self.unsent = self.read = b""
         self.times: list[tuple[int, float]] = []
 
     def send(self, text: str) -> None:
-        """Queues some text; what the pipe takes at once goes out, and what came is read. Raises Ended."""
+        """Queue text, write as much as the pipe accepts, and read pending output. Raises ProcessEnded."""
         self.unsent += text.encode()
         while self.unsent and self.exchange(0.0):
             pass
 
     def exchange(self, wait: float) -> bool:
-        """Sends and reads something, as soon as that goes within so many seconds; whether it did. Raises Ended."""
+        """Write or read within `wait` seconds. Return whether there was anything to do. Raises ProcessEnded."""
         ready = select.select([self.source], [self.sink] if self.unsent else [], [], wait)
         if ready[1]:
             try:
                 self.unsent = self.unsent[os.write(self.sink, self.unsent[:CHUNK]) :]
             except BrokenPipeError:
-                self.unsent = b""  # its last words may tell why
+                self.unsent = b""  # the remaining output may explain the end
         if ready[0]:
             some = os.read(self.source, CHUNK)
             if not some:
-                raise Ended
+                raise ProcessEnded
             self.read += some
             self.times.append((len(self.read), time.monotonic()))
         return bool(ready[0] or ready[1])
 
     def came(self, word: str) -> list[float]:
-        """When it said a word, each time."""
+        """Return the arrival time of each occurrence of a word in the output."""
         ends, at = [], -1
         while (at := self.read.find(word.encode(), at + 1)) >= 0:
             ends.append(at + len(word))
         return [next(when for count, when in self.times if count >= end) for end in ends]
 
     def take(self, count: int) -> str:
-        """So many bytes of what it said; the rest is let go."""
+        """Return the first `count` bytes of the output as text, and drop the rest."""
         said, self.read, self.times = self.read[:count], b"", []
         return said.decode(errors="replace").strip()
 
@@ -88,7 +90,7 @@ class Process:
             os.kill(self.pid, KILLED)
 
     def end(self) -> int:
-        """Kills it if it still runs; its exit status, negative for a signal."""
+        """Kill the process if it still runs. Return its exit status, which is negative for a signal."""
         self.kill()
         return self.wait()
 

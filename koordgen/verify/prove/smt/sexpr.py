@@ -1,4 +1,4 @@
-"""What solvers answer: S-expressions, and the values in them."""
+"""S-expressions: parser of solvers' answers, and of the values in them."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import re
 from fractions import Fraction
 
 Expression = str | list["Expression"]
-# A model's value: exact, or a name of an element of an uninterpreted sort, or an irrational number as text.
+# A value in a model: exact; or the name of an element of an uninterpreted sort; or the text of an irrational number.
 ModelValue = bool | int | Fraction | str
 
 _TOKEN = re.compile(r'\|[^|]*\||"(?:[^"]|"")*"|[()]|[^\s()|"]+')
 
 
 class Unreadable(Exception):
-    """What was answered is no S-expression, or not the one that was asked for."""
+    """The text is no S-expression, or not the answer to the command that was sent."""
 
 
 def read(text: str) -> list[Expression]:
-    """All expressions of a text. Raises Unreadable."""
+    """Return all expressions of a text. Raises Unreadable."""
     stack: list[list[Expression]] = [[]]
     for token in _TOKEN.findall(text):
         if token == "(":
             stack.append([])
         elif token == ")":
             if len(stack) == 1:
-                raise Unreadable("a bracket closes that was never opened")
+                raise Unreadable("a closing bracket has no opening one")
             done = stack.pop()
             stack[-1].append(done)
         else:
@@ -35,7 +35,7 @@ def read(text: str) -> list[Expression]:
 
 
 def values(text: str, count: int) -> list[ModelValue]:
-    """The answer to `get-value` of `count` terms, in their order. Raises Unreadable."""
+    """Return the values in an answer to `get-value` of `count` terms, in their order. Raises Unreadable."""
     match read(text):
         case [list(pairs)] if len(pairs) == count:
             if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
@@ -46,7 +46,7 @@ def values(text: str, count: int) -> list[ModelValue]:
 
 
 def value(node: Expression) -> ModelValue:
-    """One value. Raises Unreadable where a number is none that can be written down exactly as a fraction."""
+    """Return one value. Raises Unreadable if an operand of `-`, `/` or `to_real` is no exact fraction."""
     match node:
         case "true" | "false":
             return node == "true"
@@ -66,19 +66,19 @@ def value(node: Expression) -> ModelValue:
         case ["as", str(name), _]:
             return name
         case _:
-            return f"irrational {shown(node)}"
+            return f"irrational {to_text(node)}"
 
 
 def _number(node: Expression) -> int | Fraction:
     found = value(node)
     if isinstance(found, (bool, str)):
-        raise Unreadable(f"{shown(node)} is no number")
+        raise Unreadable(f"expected a number, found {to_text(node)}")
     return found
 
 
 def _strange(node: object) -> Unreadable:
-    return Unreadable(f"a value was expected, not {shown(node)[:80]}")
+    return Unreadable(f"expected a value, found {to_text(node)[:80]}")
 
 
-def shown(node: object) -> str:
-    return f"({' '.join(map(shown, node))})" if isinstance(node, list) else str(node)
+def to_text(node: object) -> str:
+    return f"({' '.join(map(to_text, node))})" if isinstance(node, list) else str(node)

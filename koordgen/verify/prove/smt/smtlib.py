@@ -1,7 +1,7 @@
-"""Obligations as SMT-LIB 2.6: what a solver is asked, and the very same for people, with the program's lines.
+"""SMT-LIB 2.6 text of obligations: scripts for solvers, and annotated files for people.
 
-Nothing is rounded: a Fraction that is no decimal is a quotient of two. A subterm that occurs more than once gets a name
-where it is long.
+Nothing is rounded: a Fraction that is no decimal becomes a quotient of two decimals. A long subterm that occurs more
+than once gets a name.
 """
 
 from __future__ import annotations
@@ -10,25 +10,25 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
 
-from koordgen.verify.prove.smt.obligation import Fact, Obligation
-from koordgen.verify.prove.smt.term import Apply, Function, Op, Term, Value, not_
+from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
+from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Term, not_
 
-Line = Callable[[str, int], str]  # file, line -> its text; "" where there is none
+Line = Callable[[str, int], str]  # file, line -> the text of that line; "" if there is none
 BUILT_IN = frozenset(("Bool", "Int", "Real"))
-LONG = 60  # characters of a subterm that gets a name when it occurs again
+LONG = 60  # characters from which a subterm that occurs again gets a name
 WIDTH = 100
 _SIMPLE = re.compile(r"[A-Za-z~!$%^&*_+=<>?/-][A-Za-z0-9~!$%^&*_+=<>.?/@-]*")
-# Words of the language: in bars they are names. What logics define is never minted as a name: see encode/room.py.
+# Reserved words of SMT-LIB, which are names when in bars. encode/context.py never mints the names that logics define.
 _RESERVED = frozenset(("!", "_", "as", "let", "exists", "forall", "match", "par", "assert", "push", "pop", "exit"))
 
 
 def symbol(name: str) -> str:
-    """A name as SMT-LIB writes it: in bars where it must be."""
+    """Return a name as SMT-LIB writes it: in bars if necessary."""
     return name if _SIMPLE.fullmatch(name) and name not in _RESERVED else f"|{name}|"
 
 
 def literal(value: bool | int | Fraction, sort: str) -> str:
-    """A number or truth, exactly."""
+    """Return a number or truth value as SMT-LIB, exactly."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if value < 0:
@@ -40,7 +40,7 @@ def literal(value: bool | int | Fraction, sort: str) -> str:
 
 
 def decimal(value: Fraction) -> str:
-    """A number >= 0 with its digits; empty where they never end."""
+    """Return a number >= 0 as a decimal; empty if its digits never end."""
     places, rest = 0, value.denominator
     for prime in (2, 5):
         count = 0
@@ -54,11 +54,13 @@ def decimal(value: Fraction) -> str:
 
 
 class Printer:
-    """Prints the terms of one script: counts first what occurs more than once, then prints each once."""
+    """Printer of the terms of one script.
+
+    It counts the uses of each subterm first, then prints each subterm once."""
 
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[Term, int] = {}
-        self.functions: dict[str, Function] = {}
+        self.functions: dict[str, FunctionSymbol] = {}
         self.heads: dict[str, str] = {}
         self.done: dict[Term, str] = {}
         self.named = 0
@@ -69,14 +71,14 @@ class Printer:
                 uses[node] += 1
                 continue
             uses[node] = 1
-            if isinstance(node, Value):
+            if isinstance(node, LiteralTerm):
                 continue
             if isinstance(node, Apply):
                 self.functions.setdefault(node.function.name, node.function)
             pending += node.args[::-1]
 
     def print(self, term: Term) -> tuple[list[str], str]:
-        """Definitions that come first, and the term."""
+        """Return the definitions that must come first, and the text of the term."""
         definitions: list[str] = []
         done, pending = self.done, [term]
         while pending:
@@ -84,7 +86,7 @@ class Printer:
             if node in done:
                 pending.pop()
                 continue
-            missing = [] if isinstance(node, Value) else [arg for arg in node.args if arg not in done]
+            missing = [] if isinstance(node, LiteralTerm) else [arg for arg in node.args if arg not in done]
             if missing:
                 pending += missing[::-1]
                 continue
@@ -104,8 +106,8 @@ class Printer:
                 return name
 
     def shown(self, node: Term) -> str:
-        """A term whose arguments were printed before."""
-        if isinstance(node, Value):
+        """Return the text of a term whose arguments are printed already."""
+        if isinstance(node, LiteralTerm):
             return literal(node.value, node.sort.name)
         if isinstance(node, Op):
             return f"({node.name} {' '.join([self.done[arg] for arg in node.args])})"
@@ -114,7 +116,7 @@ class Printer:
         return f"({head} {' '.join([self.done[arg] for arg in node.args])})" if node.args else head
 
     def declarations(self) -> Iterator[str]:
-        """Of all sorts and symbols, each once."""
+        """Yield one declaration for each sort and symbol."""
         functions = self.functions.values()
         sorts = dict.fromkeys(s for f in functions for s in (*f.domain, f.result) if s.name not in BUILT_IN)
         yield from (f"(declare-sort {symbol(sort.name)} 0)" for sort in sorts)
@@ -124,8 +126,9 @@ class Printer:
 
 
 def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
-    """What a solver is asked, without its logic and the command to answer; and the terms `wanted` of a model, printed.
-    `named` calls the facts fact!0, fact!1, ... for unsat cores."""
+    """Return the script of an obligation, and the printed `wanted` terms of a model.
+
+    The script lacks its logic and `check-sat`. `named` calls the facts fact!0, fact!1, ... for unsat cores."""
     facts = [f.term for f in obligation.facts]
     if obligation.goal is not None:
         facts.append(not_(obligation.goal.term))
@@ -144,12 +147,14 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
     return "\n".join(lines) + "\n", shown
 
 
-def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
-    """Obligations that share facts: what all of them assume, and for each of the `parts` of each, in which it is to be
-    refuted, that and what only this obligation assumes."""
-    shared = set.intersection(*({id(fact) for fact in o.facts} for o in room))
-    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in room]
-    common = [fact.term for fact in room[0].facts if id(fact) in shared]
+def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
+    """Print obligations that share facts.
+
+    Return the script of what all of them assume; and for each obligation one script per part of its goal, which asserts
+    that part and the facts that only this obligation assumes."""
+    shared = set.intersection(*({id(fact) for fact in o.facts} for o in group))
+    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in group]
+    common = [fact.term for fact in group[0].facts if id(fact) in shared]
     printer = Printer([*common, *(term for terms in (*own, *parts) for term in terms)])
     lines = list(printer.declarations())
 
@@ -167,7 +172,9 @@ def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tup
 
 
 def document(obligation: Obligation, line: Line) -> str:
-    """The obligation as a file for people and for every solver. `line` tells the program's text."""
+    """Return an obligation as a file for people and for every solver.
+
+    `line` returns a line of the program."""
     goal = obligation.goal
     refuted = [*obligation.facts, *([goal] if goal else [])]
     printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])
@@ -178,7 +185,7 @@ def document(obligation: Obligation, line: Line) -> str:
     for fact in refuted:
         said = f"{fact.label}{_place(fact, line)}"
         if said != last or fact is goal:
-            lines += ["", *_comment(f"{'to be shown, and so negated: ' if fact is goal else ''}{said}")]
+            lines += ["", *_comment(f"{'to be shown, therefore negated: ' if fact is goal else ''}{said}")]
             last = said
         definitions, text = printer.print(not_(fact.term) if fact is goal else fact.term)
         lines += [wrapped(d) for d in definitions]
@@ -188,28 +195,28 @@ def document(obligation: Obligation, line: Line) -> str:
 
 def _head(obligation: Obligation) -> Iterator[str]:
     if obligation.goal is None:
-        yield f"; {obligation.file}:{obligation.line}: what is assumed does not contradict itself"
+        yield f"; {obligation.file}:{obligation.line}: the assumptions do not contradict one another"
     else:
         by = f", {obligation.event}" if obligation.event else ""
         yield f"; {obligation.file}:{obligation.line}: {obligation.invariant}{by} ({obligation.kind})"
     robots = "for every number of robots" if obligation.robots is None else f"for {obligation.robots} robots"
-    yield f"; {robots}; {obligation.expected} is the answer that is expected"
+    yield f"; {robots}; the expected answer is {obligation.expected}"
     for note in obligation.notes:
         yield from _comment(note)
 
 
 def _cells(obligation: Obligation, used: Collection[str]) -> Iterator[str]:
-    """Which of the symbols that are used are which variables."""
+    """Yield comments that relate the symbols in use to variables of the program."""
     told: dict[str, None] = {}
     for cell in obligation.cells:
         names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply) and t.function.name in used)
         if names:
-            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
+            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.state_name}"] = None
     for text in told:
         yield from _comment(text)
 
 
-def _place(fact: Fact, line: Line) -> str:
+def _place(fact: LabelledFormula, line: Line) -> str:
     if not fact.line:
         return ""
     text = _flat(line(fact.file, fact.line))
@@ -227,7 +234,7 @@ def _flat(text: str) -> str:
 
 
 def wrapped(text: str) -> str:
-    """One command over several lines where it is long: each argument that does not fit on its own, deeper."""
+    """Break a long command over several lines: each argument that does not fit gets its own, deeper line."""
     return "\n".join(_wrapped(text, 0))
 
 
@@ -244,7 +251,7 @@ def _wrapped(text: str, indent: int) -> Iterator[str]:
 
 
 def _split(text: str) -> Iterator[str]:
-    """The expressions that stand in a row."""
+    """Yield the expressions of a sequence, one by one."""
     depth, start, quoted = 0, 0, False
     for place, character in enumerate(text):
         if character == "|":

@@ -1,8 +1,8 @@
-"""Asking solvers: one process for all queries, over its standard input and output, within limits of time and memory.
+"""Solver driver: one process for all queries, within limits of time and memory.
 
-A solver is believed when it says `unsat`, and is never believed by mistake: whatever is not exactly one answer (an
-error, a crash, nonsense, silence) is UNKNOWN with its reason. A process that misbehaved is killed; the next query gets
-a new one. Measured: z3's executable is up within 17 ms, its Python module within 65 ms, and a query takes 1 to 2 ms.
+The answer `unsat` proves an obligation, so it is never assumed: anything but exactly one answer (an error, a crash,
+garbage, silence) gives UNKNOWN with its reason. A process that misbehaved is killed; the next query starts a new one.
+Measured: z3's executable is ready within 17 ms, its Python module within 65 ms, and a query takes 1 to 2 ms.
 """
 
 from __future__ import annotations
@@ -17,88 +17,94 @@ from typing import Literal, NamedTuple, Self
 
 from koordgen.lang.diagnostics import InternalError
 from koordgen.verify.prove.smt.obligation import Obligation
-from koordgen.verify.prove.smt.process import Ended, Process, allowed
+from koordgen.verify.prove.smt.process import Process, ProcessEnded, memory_limit
 from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
 from koordgen.verify.prove.smt.smtlib import script, together
 from koordgen.verify.prove.smt.term import TRUE, Term, not_
 
-BRIEF = 0.5  # seconds for each query: what takes longer is asked alone, with all the time that it may have
+BRIEF = 0.5  # seconds for each query of a batch; a query that takes longer is asked again alone, with its full limit
 MARK = "koordgen-batch"
 WORDS: frozenset[str] = frozenset(("sat", "unsat", "unknown"))
 
 
 class Batch:
-    """The queries that were sent to one process, in their order."""
+    """Queries that were sent to one process and not answered yet, in their order."""
 
     def __init__(self, solver: Solver) -> None:
         self.solver = solver
-        self.sent: list[tuple[Obligation, int, float]] = []  # how many goals each has, and when they were sent
+        self.sent: list[tuple[Obligation, int, float]] = []  # obligation, number of goals, time of sending
 
-    def add(self, room: Sequence[Obligation]) -> None:
-        """Sends a room's obligations. Raises Broken."""
-        parts = [self.solver.parts(obligation) for obligation in room]
-        head, goals = together(room, parts)
+    def add(self, group: Sequence[Obligation]) -> None:
+        """Send the obligations of one group. Raises SolverFailed."""
+        parts = [self.solver.parts(obligation) for obligation in group]
+        head, goals = together(group, parts)
         asked = [f'(push)\n{goal}(check-sat)\n(echo "{MARK}")\n(pop)\n' for each in goals for goal in each]
-        self.solver.send(self.solver.room(room[0].logic, False, False, BRIEF) + head + "".join(asked))
+        self.solver.send(self.solver.preamble(group[0].logic, False, False, BRIEF) + head + "".join(asked))
         now = time.monotonic()
-        self.sent += [(obligation, len(each), now) for obligation, each in zip(room, parts, strict=True)]
+        self.sent += [(obligation, len(each), now) for obligation, each in zip(group, parts, strict=True)]
 
-    def answers(self) -> dict[int, tuple[Result, float]]:
-        """By the obligation's id, what is said of it, and after how many seconds it came: of answers that come at
-        once, the first. None where anything but answers was said. Raises Broken."""
+    def answers(self) -> dict[int, tuple[SatResult, float]]:
+        """Return by the obligation's id its result, and the seconds until it arrived.
+
+        If several answers arrive at once, the first one gets the seconds. Empty if the output is anything but answers.
+        Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
         said, came = self.solver.rest(MARK, BRIEF * count)
         words, marks = said[::2], said[1::2]
         if len(said) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
             return {}
-        found: dict[int, tuple[Result, float]] = {}
+        found: dict[int, tuple[SatResult, float]] = {}
         at, last = 0, 0.0
         for obligation, goals, sent in self.sent:
             own = words[at : at + goals]
             at += goals
-            result: Result = "sat" if "sat" in own else "unknown" if "unknown" in own else "unsat"
+            result: SatResult = "sat" if "sat" in own else "unknown" if "unknown" in own else "unsat"
             found[id(obligation)] = result, max(0.0, came[at - 1] - max(last, sent))
             last = came[at - 1]
         return found
 
 
-Result = Literal["sat", "unsat", "unknown"]
+SatResult = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
-WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # its first answer takes z3 10 ms more than others
-GRACE = 1.0  # seconds beyond its own limit after which a solver is killed
-MOST_BYTES = 1 << 24  # of an answer
+WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # z3's first answer takes 10 ms more than later ones
+GRACE = 1.0  # seconds after the limit of a query until the solver is killed
+MOST_BYTES = 1 << 24  # largest answer that is read
 
 
 class SolverMissing(Exception):
-    """There is no such solver here; the message says what was looked for."""
+    """No such solver is installed; the message names the places that were searched."""
 
 
 class Limits(NamedTuple):
-    """Of one query and of all queries of a command, in seconds; of a solver's memory, in megabytes."""
+    """Limits in seconds of one query and of all queries of a command.
+
+    Limit of a solver's memory in megabytes."""
 
     query: float = 10.0
     total: float = 60.0
     memory: int = 2048
 
 
-class Answer(NamedTuple):
-    """What a solver said of one obligation. `reason` tells why the result is unknown, and what can be done. `values`
-    are those of the terms that were asked for, in their order, where the result is `sat`; `core` the places in `facts`
-    of those that already contradict one another, where that was asked for."""
+class SolverAnswer(NamedTuple):
+    """Answer of a solver about one obligation.
 
-    result: Result
+    `reason` explains an unknown result and names a remedy. `values`: the values of the wanted terms, in their order, if
+    the result is `sat`. `core`: if it was asked for, the places in `facts` of those that already contradict one
+    another."""
+
+    result: SatResult
     seconds: float
     reason: str = ""
     values: tuple[ModelValue, ...] = ()
     core: tuple[int, ...] = ()
 
 
-class Broken(Exception):
-    """The process is of no further use; the message says why."""
+class SolverFailed(Exception):
+    """The solver process is unusable; the message gives the reason."""
 
 
 def command_of(name: str, memory: int) -> list[str]:
-    """How a solver is started that may use so many megabytes. Raises SolverMissing."""
+    """Return the command that starts a solver with `memory` megabytes at most. Raises SolverMissing."""
     folders = [os.path.dirname(sys.executable), *os.environ.get("PATH", "").split(os.pathsep)]
     places = [os.path.join(folder, name) for folder in folders if folder]
     found = next((place for place in places if os.path.isfile(place) and os.access(place, os.X_OK)), None)
@@ -110,11 +116,11 @@ def command_of(name: str, memory: int) -> list[str]:
 
     if name == "cvc5" and find_spec("cvc5"):
         return [sys.executable, "-P", os.path.join(os.path.dirname(__file__), "cvc5_driver.py")]
-    raise SolverMissing(f"there is no solver {name} beside {sys.executable} or on the PATH")
+    raise SolverMissing(f"solver {name} not found beside {sys.executable} or on the PATH")
 
 
 class Solver:
-    """One solver, started when it is first needed, or before by `start`. `command` stands in for the usual one."""
+    """One solver process, started by `start` or by the first query. `command` replaces the usual command."""
 
     def __init__(self, name: str, limits: Limits | None = None, command: Sequence[str] | None = None) -> None:
         self.name = name
@@ -124,8 +130,8 @@ class Solver:
         self._process: Process | None = None
         self._asked = 0
         self._warming = False
-        self._left = ""  # what undoes the query before
-        self._timeout = 0  # that is set, in milliseconds
+        self._left = ""  # command that undoes the previous query
+        self._timeout = 0  # current setting of the solver, in milliseconds
 
     def __enter__(self) -> Self:
         return self
@@ -134,97 +140,102 @@ class Solver:
         self.end()
 
     def start(self) -> None:
-        """Lets the solver load while something else is done."""
+        """Start the solver, so that it loads while the caller does other work."""
         if self._process is not None:
             return
         try:
-            self._process = Process(self.command, allowed(self.limits.memory))
+            self._process = Process(self.command, memory_limit(self.limits.memory))
         except OSError as error:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
         self._process.unsent = WARM.encode() if self.name == "z3" else b""
-        with suppress(Ended):  # who asks it is told how it ended
+        with suppress(ProcessEnded):  # the next query reports how the process ended
             self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
     def stop(self) -> None:
-        """Nothing more will be asked; `end` waits for it to have ended."""
+        """Kill the process without waiting for its exit, for which `end` waits."""
         if self._process is not None:
             self._process.kill()
 
     def end(self) -> None:
-        """Ends the process, whatever it is doing."""
+        """Kill the process, if there is one, and wait for its exit."""
         process, self._process = self._process, None
         if process is not None:
             process.end()
 
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
-    ) -> Answer:
-        """Whether the facts and the goal's negation can be true together; in `most` seconds, where that is less than
-        the limit of a query. Raises SolverMissing."""
-        if obligation.unwritten:
-            return Answer("unknown", 0.0, obligation.unwritten)
+    ) -> SolverAnswer:
+        """Ask whether the facts and the goal's negation are satisfiable together.
+
+        `most`: seconds for this query, if that is less than the limit of a query. Raises SolverMissing."""
+        if obligation.too_large:
+            return SolverAnswer("unknown", 0.0, obligation.too_large)
         began = time.monotonic()
         left = self.limits.total - self.spent
         if left <= 0:
-            return Answer(
-                "unknown", 0.0, f"{self.limits.total:g} s for all queries are used up; a longer --timeout may help"
+            return SolverAnswer(
+                "unknown", 0.0, f"the {self.limits.total:g} s for all queries are used up; try a longer --timeout"
             )
         limit = min(self.limits.query, left, most)
         try:
             answer = self._answered(obligation, wanted, core, limit)
-        except Broken as broken:
+        except SolverFailed as broken:
             self.end()
-            answer = Answer("unknown", 0.0, str(broken))
+            answer = SolverAnswer("unknown", 0.0, str(broken))
         seconds = time.monotonic() - began
         self.spent += seconds
         return answer._replace(seconds=seconds)
 
-    def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> Answer:
+    def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> SolverAnswer:
         self.start()
         until = time.monotonic() + limit + GRACE
         self._warm(until)
         if not wanted and not core and len(self.parts(obligation)) > 1:
             return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        said = self._said(self.room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
+        said = self._said(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
             case "unsat":
-                return Answer("unsat", 0.0, core=self._core(until) if core else ())
+                return SolverAnswer("unsat", 0.0, core=self._core(until) if core else ())
             case "sat":
-                return Answer("sat", 0.0, values=self._values(names, until))
+                return SolverAnswer("sat", 0.0, values=self._values(names, until))
             case "unknown":
-                return Answer("unknown", 0.0, self._why(limit, until))
+                return SolverAnswer("unknown", 0.0, self._why(limit, until))
             case _:
-                raise Broken(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
-        """As `ask`, of many. z3 is told those of one room, which share most of their facts, together, and decides them
-        while the next room is made; what it does not decide so is asked alone. Raises SolverMissing."""
+    def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
+        """Answer many obligations, as `ask` does.
+
+        Obligations of one group share most of their facts: z3 gets them in one batch and works on it while the next
+        group is encoded. What z3 leaves undecided in the batch is asked alone. Raises SolverMissing."""
         self.start()
         batch = Batch(self)
         found: list[Obligation] = []
-        for room in rooms:
-            found += room
-            apt = room and all(o.logic in LINEAR and not o.unwritten for o in room)
+        for group in groups:
+            found += group
+            apt = group and all(o.logic in LINEAR and not o.too_large for o in group)
             if self.name == "z3" and apt and self._process is not None:
                 try:
-                    batch.add(room)
-                except Broken:
+                    batch.add(group)
+                except SolverFailed:
                     self.end()
-        answers: dict[int, Answer] = {}
+        answers: dict[int, SolverAnswer] = {}
         if self._process is not None and batch.sent:
             try:
-                answers = {key: Answer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
-            except Broken:
+                answers = {key: SolverAnswer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
+            except SolverFailed:
                 self.end()
         self.spent += sum(answer.seconds for answer in answers.values())
         return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
 
     def parts(self, obligation: Obligation) -> list[Term]:
-        """What is to be refuted, one by one. With robots by number there are many conjuncts: each alone, they take z3
-        a third of the time of all at once."""
+        """Return the formulas to refute, one by one.
+
+        If robots have numbers there are many conjuncts: z3 refutes them one by one in a third of the time of all at
+        once."""
         if obligation.goal is None:
             return [TRUE]
         numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
@@ -232,24 +243,28 @@ class Solver:
             return [not_(part.term) for part in obligation.conjuncts]
         return [not_(obligation.goal.term)]
 
-    def _refuted(self, obligation: Obligation, limit: float, until: float) -> Answer:
+    def _refuted(self, obligation: Obligation, limit: float, until: float) -> SolverAnswer:
         parts = self.parts(obligation)
         text, (goals,) = together([obligation], [parts])
         asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
-        said = self._said(self.room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        said = self._said(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
         if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
-            raise Broken(f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}")
-        if "sat" in said:
-            return Answer("sat", 0.0)
-        if "unknown" in said:
-            return Answer(
-                "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; a longer --timeout may help"
+            raise SolverFailed(
+                f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}"
             )
-        return Answer("unsat", 0.0)
+        if "sat" in said:
+            return SolverAnswer("sat", 0.0)
+        if "unknown" in said:
+            return SolverAnswer(
+                "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
+            )
+        return SolverAnswer("unsat", 0.0)
 
-    def room(self, logic: str, core: bool, model: bool, limit: float) -> str:
-        """The commands with which a query begins, so that nothing is left of the one before. Within a scope z3 solves
-        what is linear, which spares 2 to 10 ms of each query; what is not it solves as its logic is best solved."""
+    def preamble(self, logic: str, core: bool, model: bool, limit: float) -> str:
+        """Return the commands that begin a query and undo the previous one.
+
+        z3 solves linear queries within a scope, which saves 2 to 10 ms a query. For other queries a reset lets it
+        choose the tactic for their logic."""
         milliseconds = max(1, int(limit * 1000))
         if self.name == "z3" and logic in LINEAR and not core:
             before, self._left = self._left, "(pop)\n"
@@ -269,7 +284,7 @@ class Solver:
         try:
             return tuple(values(said, len(names)))
         except Unreadable as error:
-            raise Broken(f"{self.name} said sat, and of its model nothing that can be used: {error}") from None
+            raise SolverFailed(f"{self.name} answered sat with an unusable model: {error}") from None
 
     def _core(self, until: float) -> tuple[int, ...]:
         said = self._said("(get-unsat-core)\n", until).strip("()").split()
@@ -280,7 +295,7 @@ class Solver:
             self._said("(get-info :reason-unknown)\n", until).removeprefix("(:reason-unknown").rstrip(")").strip(' "')
         )
         if "timeout" in said or "cancel" in said:
-            return f"{self.name} found no answer within {limit:g} s; a longer --timeout may help"
+            return f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
         return f"{self.name} cannot decide it: {_short(said) or 'no reason given'}{_exhausted(said)}"
 
     def _warm(self, until: float) -> None:
@@ -289,15 +304,16 @@ class Solver:
             self._heard("koordgen-0", until)
 
     def _said(self, text: str, until: float) -> str:
-        """What the solver says to some commands. Raises Broken."""
+        """Send commands and return the solver's output for them. Raises SolverFailed."""
         self._asked += 1
         end = f"koordgen-{self._asked}"
         self.send(f'{text}(echo "{end}")\n')
         return self._heard(end, until)
 
     def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
-        """The lines that the solver has said since it was asked last, and when it said each of the marks among them,
-        once it has come to its end. Raises Broken."""
+        """Wait for the end of all output since the last query.
+
+        Return its lines, and the arrival time of each of the marks in it. Raises SolverFailed."""
         assert self._process is not None
         self._asked += 1
         end = f"koordgen-{self._asked}"
@@ -312,31 +328,32 @@ class Solver:
         return lines, came
 
     def send(self, text: str) -> None:
-        """Lets the solver have some commands. Raises Broken."""
+        """Send commands to the solver. Raises SolverFailed."""
         assert self._process is not None
         try:
             self._process.send(text)
-        except Ended:
-            raise Broken(self._obituary()) from None
+        except ProcessEnded:
+            raise SolverFailed(self._obituary()) from None
 
     def _heard(self, end: str, until: float) -> str:
-        """All up to a word that it was to echo. Raises Broken."""
+        """Return the output up to the word that the solver was to echo. Raises SolverFailed."""
         assert self._process is not None
         return self._process.take(self._waited(end, until))
 
     def _waited(self, end: str, until: float) -> int:
-        """Waits for a word that it was to echo, while the rest of the commands goes out; where in what it said that
-        stands. Raises Broken."""
+        """Send pending commands and read, until the solver has echoed a word.
+
+        Return where in the output the word begins. Raises SolverFailed."""
         process = self._process
         assert process is not None
         while (ended := _ended(process.read, end.encode())) is None:
             left = until - time.monotonic()
             try:
                 going = left > 0 and process.exchange(left)
-            except Ended:
-                raise Broken(self._obituary()) from None
+            except ProcessEnded:
+                raise SolverFailed(self._obituary()) from None
             if not going or len(process.read) > MOST_BYTES:
-                raise Broken(f"{self.name} did not answer in time and was killed; a longer --timeout may help")
+                raise SolverFailed(f"{self.name} did not answer in time and was killed; try a longer --timeout")
         return ended
 
     def _obituary(self) -> str:
@@ -346,13 +363,15 @@ class Solver:
         words = _short(process.read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (
-            f" (its memory is limited to {allowed(self.limits.memory)} MB)" if status in (-11, -9, -6, 101, 127) else ""
+            f" (its memory is limited to {memory_limit(self.limits.memory)} MB)"
+            if status in (-11, -9, -6, 101, 127)
+            else ""
         )
-        return f"{self.name} {how} in the midst of a query{f', saying: {words}' if words else ''}{hint}"
+        return f"{self.name} {how} during a query{f', with the output: {words}' if words else ''}{hint}"
 
 
 def _ended(said: bytes, end: bytes) -> int | None:
-    """Return where the last line begins, if it is this word; solvers that keep to the standard quote it."""
+    """Return where the last line begins if it is this word, else None. Solvers may quote the word."""
     if not said.endswith(b"\n"):
         return None
     start = said.rfind(b"\n", 0, len(said) - 1) + 1
@@ -368,8 +387,8 @@ def _short(text: str) -> str:
     return flat if len(flat) <= 160 else f"{flat[:157]}..."
 
 
-class Both:
-    """Two solvers, asked the same. That they contradict each other is never passed over."""
+class CrossCheck:
+    """Two solvers that get the same queries. A contradiction between their answers is an InternalError."""
 
     def __init__(self, solvers: Sequence[Solver]) -> None:
         self.solvers = tuple(solvers)
@@ -391,8 +410,8 @@ class Both:
 
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
-    ) -> Answer:
-        """The answer of the first that decides. Raises InternalError where one says sat and another unsat."""
+    ) -> SolverAnswer:
+        """Return the first answer that is not unknown. Raises InternalError if one is sat and another unsat."""
         answers = [solver.ask(obligation, wanted, core, most) for solver in self.solvers]
         decided = [answer for answer in answers if answer.result != "unknown"]
         if len({answer.result for answer in decided}) > 1:
@@ -401,20 +420,20 @@ class Both:
         chosen = decided[0] if decided else answers[0]
         return chosen._replace(seconds=sum(a.seconds for a in answers))
 
-    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
-        return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
+    def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
+        return [(obligation, self.ask(obligation)) for group in groups for obligation in group]
 
 
-def solver_of(name: str, limits: Limits) -> Solver | Both:
-    """z3, cvc5 or both. Raises SolverMissing."""
-    return Both([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
+def solver_of(name: str, limits: Limits) -> Solver | CrossCheck:
+    """Return the solver z3 or cvc5, or both cross-checked. Raises SolverMissing."""
+    return CrossCheck([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
 
 
-class Outcome(NamedTuple):
-    """One obligation and what the solver said of it."""
+class ObligationResult(NamedTuple):
+    """One obligation with the solver's answer."""
 
     obligation: Obligation
-    answer: Answer
+    answer: SolverAnswer
 
     @property
     def holds(self) -> bool:

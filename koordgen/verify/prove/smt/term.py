@@ -1,7 +1,7 @@
-"""Terms of many-sorted logic, exact: what obligations are made of.
+"""Terms of many-sorted logic, exact: the formulas of obligations.
 
-Terms are built by the constructors below only, which fold constants and build equal terms once (identical, then, but
-two terms that are not identical may be equal). Nothing is rounded: a float of the program becomes a Fraction.
+Only the constructors below build terms. They fold constants and build equal terms once: identical terms are equal, but
+terms that are not identical may be equal, too. Nothing is rounded: a float of the program becomes a Fraction.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from koordgen.lang.node import Node
 
 
 class Sort(Node):
-    """`BOOL`, `INT`, `REAL`; every other sort is uninterpreted."""
+    """Sort of terms: `BOOL`, `INT`, `REAL`; every other sort is uninterpreted."""
 
     name: str
 
@@ -21,16 +21,16 @@ class Sort(Node):
 BOOL, INT, REAL = Sort("Bool"), Sort("Int"), Sort("Real")
 
 
-class Function(Node):
-    """A declared symbol; a constant has an empty domain."""
+class FunctionSymbol(Node):
+    """Declared symbol; a constant has an empty domain."""
 
     name: str
     domain: tuple[Sort, ...]
     result: Sort
 
 
-class Value(Node):
-    """A literal: a bool, an int, or the Fraction of a real."""
+class LiteralTerm(Node):
+    """Literal: a bool, an int, or the Fraction of a real."""
 
     value: bool | int | Fraction
     sort: Sort
@@ -40,9 +40,9 @@ class Value(Node):
 
 
 class Apply(Node):
-    """A declared symbol of arguments."""
+    """Application of a declared symbol to arguments."""
 
-    function: Function
+    function: FunctionSymbol
     args: tuple[Term, ...]
     sort: Sort
     traits: int
@@ -51,8 +51,10 @@ class Apply(Node):
 
 
 class Op(Node):
-    """An operator of the logic, by its name in SMT-LIB: and or not => = ite + - * / div mod < <= to_real to_int.
-    `-` has one or two arguments, `and`, `or`, `+` two or more; `>`, `>=` and `distinct` are spelled by the others."""
+    """Operator of the logic, by its name in SMT-LIB.
+
+    The names are: and or not => = ite + - * / div mod < <= to_real to_int. `-` has one or two arguments, `and`, `or`,
+    `+` two or more; `>`, `>=` and `distinct` are written with the others."""
 
     name: str
     args: tuple[Term, ...]
@@ -62,70 +64,70 @@ class Op(Node):
     __hash__ = object.__hash__
 
 
-Term = Value | Apply | Op
+Term = LiteralTerm | Apply | Op
 
-# Traits, of a term and all its parts: what a logic must have.
+# Traits of a term and all its parts: features that the logic of its obligation must have.
 REALS, NONLINEAR = 1, 2
 _NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
 
-# The limit of steps (terms and expressions) for the encoding of one part of a program. Encoding more takes minutes, and
-# no solver decides the result. MOST_BITS limits the numbers that are computed while terms are made.
+# Limit of steps (terms and expressions) for the encoding of one part of a program. Encoding more takes minutes, and
+# no solver decides the result. MOST_BITS limits the numbers that constant folding computes.
 MOST_STEPS = 200_000
 MOST_BITS = 1 << 16
 _steps = 0
 
 
-class TooLarge(Exception):
-    """The formulas of a part of a program exceed a limit; the message says which."""
+class EncodingTooLarge(Exception):
+    """The formulas of one part of a program exceed a limit; the message says which."""
 
 
 def step() -> None:
-    """Count one step of the encoding. Raises TooLarge."""
+    """Count one step of the encoding. Raises EncodingTooLarge."""
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
-        raise TooLarge(
+        raise EncodingTooLarge(
             f"its formulas take more than {MOST_STEPS:,} steps to write down, as each call of a function is written "
             "out: split it, or call fewer functions"
         )
 
 
-_TERMS: dict[object, Term] = {}  # an operator or symbol with its arguments -> the one term of it
-_LITERALS: dict[object, Value] = {}
+_TERMS: dict[object, Term] = {}  # operator or symbol with its arguments -> its only term
+_LITERALS: dict[object, LiteralTerm] = {}
 
-TRUE, FALSE = Value(True, BOOL, 0), Value(False, BOOL, 0)
+TRUE, FALSE = LiteralTerm(True, BOOL, 0), LiteralTerm(False, BOOL, 0)
 
 
 def forget() -> None:
-    """Free the terms that nobody holds. Terms built before and after are no longer identical where they are equal."""
+    """Drop the table of terms. An equal term that is built later is no longer identical to an earlier one."""
     _TERMS.clear()
 
 
 def count_anew() -> None:
-    """Start the count of steps again, for the next part of a program."""
+    """Reset the count of steps, for the next part of a program."""
     global _steps
     _steps = 0
 
 
 def integer(value: int) -> Term:
     if value.bit_length() > MOST_BITS:
-        raise TooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
+        raise EncodingTooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
     found = _LITERALS.get(("Int", value))
-    return found or _LITERALS.setdefault(("Int", value), Value(value, INT, 0))
+    return found or _LITERALS.setdefault(("Int", value), LiteralTerm(value, INT, 0))
 
 
 def real(value: int | float | Fraction) -> Term:
-    """A real number, exactly: a float is the binary fraction that it is."""
+    """Return a real literal. A float becomes exactly its binary fraction."""
     found = _LITERALS.get(("Real", value))
-    return found or _LITERALS.setdefault(("Real", value), Value(Fraction(value), REAL, REALS))
+    return found or _LITERALS.setdefault(("Real", value), LiteralTerm(Fraction(value), REAL, REALS))
 
 
 def boolean(value: bool) -> Term:
     return TRUE if value else FALSE
 
 
-def apply(function: Function, *args: Term) -> Term:
-    key = (function.name, function.result.name, args)  # one room's x@1 may be a bool where another's is a list
+def apply(function: FunctionSymbol, *args: Term) -> Term:
+    key = (function.name, function.result.name, args)  # x@1 may be a bool in one context and a list in another
     found = _TERMS.get(key)
     if found is None:
         assert tuple(a.sort for a in args) == function.domain, f"{function.name} of {[a.sort.name for a in args]}"
@@ -137,7 +139,7 @@ def apply(function: Function, *args: Term) -> Term:
 
 
 def constant(name: str, sort: Sort) -> Term:
-    return apply(Function(name, (), sort))
+    return apply(FunctionSymbol(name, (), sort))
 
 
 def _op(name: str, sort: Sort, *args: Term) -> Term:
@@ -148,22 +150,22 @@ def _op(name: str, sort: Sort, *args: Term) -> Term:
         traits = REALS if sort is REAL else 0
         for arg in args:
             traits |= arg.traits
-        if name in _NONLINEAR and not any(isinstance(arg, Value) for arg in (args if name == "*" else args[1:])):
+        if name in _NONLINEAR and not any(isinstance(arg, LiteralTerm) for arg in (args if name == "*" else args[1:])):
             traits |= NONLINEAR
         found = _TERMS[key] = Op(name, args, sort, traits)
     return found
 
 
 def number(term: Term) -> int | Fraction | None:
-    """The number that a literal is."""
-    return term.value if type(term) is Value and term.sort is not BOOL else None
+    """Return the number of a numeric literal; None for any other term."""
+    return term.value if type(term) is LiteralTerm and term.sort is not BOOL else None
 
 
 # Truth
 
 
 def not_(a: Term) -> Term:
-    if isinstance(a, Value):
+    if isinstance(a, LiteralTerm):
         return FALSE if a.value else TRUE
     if isinstance(a, Op) and a.name == "not":
         return a.args[0]
@@ -226,13 +228,13 @@ def ite(condition: Term, then: Term, orelse: Term) -> Term:
         orelse = orelse.args[2]
     if then is orelse:
         return then
-    if then.sort is BOOL and (isinstance(then, Value) or isinstance(orelse, Value)):
+    if then.sort is BOOL and (isinstance(then, LiteralTerm) or isinstance(orelse, LiteralTerm)):
         return _of_truths(condition, then, orelse)
     return _op("ite", then.sort, condition, then, orelse)
 
 
 def _of_truths(condition: Term, then: Term, orelse: Term) -> Term:
-    """`ite` where one of the alternatives is a literal."""
+    """Build an `ite` of which an alternative is a literal."""
     if then is TRUE:
         return or_(condition, orelse)
     if then is FALSE:
@@ -243,17 +245,17 @@ def _of_truths(condition: Term, then: Term, orelse: Term) -> Term:
 def equals(a: Term, b: Term) -> Term:
     if a is b:
         return TRUE
-    if isinstance(a, Value) and isinstance(b, Value):
+    if isinstance(a, LiteralTerm) and isinstance(b, LiteralTerm):
         return boolean(a.value == b.value)
     if a.sort is BOOL:
         for one, other in ((a, b), (b, a)):
-            if isinstance(one, Value):
+            if isinstance(one, LiteralTerm):
                 return other if one.value else not_(other)
-    if isinstance(a, Value):
+    if isinstance(a, LiteralTerm):
         a, b = b, a
-    if isinstance(b, Value) and isinstance(a, Op) and a.name == "ite":
+    if isinstance(b, LiteralTerm) and isinstance(a, Op) and a.name == "ite":
         condition, then, orelse = a.args
-        if isinstance(then, Value) or isinstance(orelse, Value):
+        if isinstance(then, LiteralTerm) or isinstance(orelse, LiteralTerm):
             return ite(condition, equals(then, b), equals(orelse, b))
     apart = _offset(a, b)
     if apart is not None:
@@ -262,7 +264,7 @@ def equals(a: Term, b: Term) -> Term:
 
 
 def _offset(a: Term, b: Term) -> int | Fraction | None:
-    """b - a where the two differ by a literal: i and i + 1."""
+    """Return b - a if the two differ by a literal, as i and i + 1 do; else None."""
     if type(a) is not Op and type(b) is not Op:
         return 0 if a is b else None
     base, more = _split(a)
@@ -271,7 +273,7 @@ def _offset(a: Term, b: Term) -> int | Fraction | None:
 
 
 def _split(a: Term) -> tuple[Term, int | Fraction]:
-    """A term as another plus a literal."""
+    """Return a term as the sum of another term and a literal."""
     if type(a) is Op and a.name == "+" and len(a.args) == 2:
         last = number(a.args[1])
         if last is not None:
@@ -330,7 +332,7 @@ def multiply(a: Term, b: Term) -> Term:
 
 
 def divide(a: Term, b: Term) -> Term:
-    """The quotient of two reals. Of a divisor that is zero it is any number."""
+    """Return the quotient of two reals. If the divisor is zero, it may be any number."""
     x, y = number(a), number(b)
     if y is not None and y != 0:
         return _literal(Fraction(x) / y, REAL) if x is not None else multiply(real(1 / Fraction(y)), a)
@@ -338,7 +340,9 @@ def divide(a: Term, b: Term) -> Term:
 
 
 def floor_divide(a: Term, b: Term) -> Term:
-    """`a // b` of ints, floored with Python's signs; SMT-LIB's `div` floors for positive divisors only."""
+    """Return `a // b` of ints, floored with Python's signs.
+
+    SMT-LIB's `div` floors for positive divisors only."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x // y))
@@ -349,7 +353,7 @@ def floor_divide(a: Term, b: Term) -> Term:
 
 
 def remainder(a: Term, b: Term) -> Term:
-    """`a % b` of ints, with the divisor's sign as in Python."""
+    """Return `a % b` of ints, with the divisor's sign as in Python."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x % y))
@@ -380,7 +384,7 @@ def to_real(a: Term) -> Term:
 
 
 def to_int(a: Term) -> Term:
-    """The greatest int that is not above a real."""
+    """Return the greatest int that is not above a real."""
     x = number(a)
     if x is not None:
         return integer(x // 1)

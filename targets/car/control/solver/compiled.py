@@ -48,7 +48,7 @@ class CompiledSolver:
 
 
 def load(limits: Limits, cache: Path | None = None) -> CompiledSolver:
-    """The solver, out of the cache or compiled: see `native.load`. Raises NotCompiled."""
+    """Return the solver, out of the cache or compiled: see `native.load`. Raises NotCompiled."""
     return CompiledSolver(native.load(SOURCE, FLAGS, _prove, cache), limits)
 
 

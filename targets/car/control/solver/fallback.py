@@ -77,18 +77,18 @@ class CasadiSolver:
 
 
 def _shifted(values: array[float], stride: int) -> array[float]:
-    """What belongs to the next step in each step's place; the last step's stays."""
+    """Return the sequence shifted by one step; the last element is repeated."""
     return values[stride:] + values[-stride:]
 
 
 def upper_bounds(limits: Limits) -> list[float]:
-    """The bounds of the program's variables; the lower ones are their negatives."""
+    """Return the bounds of the program's variables; the lower ones are their negatives."""
     free = [math.inf] * 3
     return [limits.acceleration, limits.steering_rate, *free, limits.speed, limits.steering] * STEPS
 
 
 def nonlinear_program(method: str, options: dict[str, Any] | None = None) -> Any:
-    """The problem for CasADi's `nlpsol`. Variables: input, state after it, for each step; parameters: wheelbase,
+    """Return the problem for CasADi's `nlpsol`. Variables: input, state after it, for each step; parameters: wheelbase,
     weights of states and of inputs, present state, wished states; constraints: the defects, which are 0."""
     import casadi as ca
 

@@ -14,7 +14,7 @@ STATES, INPUTS = 5, 2
 
 
 def step(state: Any, inputs: Any, wheelbase: Any) -> Any:
-    """The state one step on, symbolically."""
+    """Return the state one step on, symbolically."""
     import casadi as ca
 
     def slope(s: Any) -> Any:

@@ -1,10 +1,10 @@
-"""Failure of a command on a run that is over."""
+"""Failure of a command on a finished run."""
 
 from __future__ import annotations
 
 
 class CannotMake(Exception):
-    """Something that is needed is not there; the message says what, `hint` the way out."""
+    """A required program or package is missing; the message names it, `hint` the way out."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)

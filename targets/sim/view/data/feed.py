@@ -1,8 +1,7 @@
-"""A companion that passes on what happens in a run while it happens, with times since round 1: base of the views.
+"""Base of the live views: a companion that passes on records during a run, with times since round 1.
 
-Before round 1 times count from the launch. When it is known that round 1 has begun, `_anew` is called, and all that was
-passed on before does not count.
-"""
+Before round 1 times count from the launch. When round 1 has begun, `_reset` is called, and all records passed on before
+are void."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -22,28 +21,29 @@ POSE_EVERY = 12  # steps, as in the trace
 
 
 class Feed(ABC):
-    """Implements `crew.Companion`. Nothing of it gets into the trace."""
+    """Companion that passes on records. It adds nothing to the trace."""
 
     def __init__(self, header: Header) -> None:
         self._header = header
         self._names = [robot.name for robot in header.robots]
         self._steps = 0
-        self._told = 0  # marks of the run
-        self._seen: set[tuple[str, tuple[int, int]]] = set()  # what the stage's watch has found
+        self._marks_sent = 0  # number of the run's marks passed on
+        self._seen: set[tuple[str, tuple[int, int]]] = set()  # findings of the separation monitor passed on
         self._begun = False
-        self._early: list[tuple[Agent, list[TraceRecord]]] = []  # heard before it was known when round 1 began
+        # records received before the start of round 1 was known
+        self._early: list[tuple[AgentHandle, list[TraceRecord]]] = []
 
     @abstractmethod
     def _take(self, record: TraceRecord, t: float) -> None:
-        """Pass on one record; `t` is its time, whatever it says itself."""
+        """Pass on one record. `t` overrides the record's own time."""
 
     @abstractmethod
-    def _anew(self) -> None:
-        """Round 1 has begun: forget what was passed on."""
+    def _reset(self) -> None:
+        """Discard what was passed on: round 1 has begun."""
 
     @abstractmethod
     def _send(self) -> None:
-        """Send what was gathered, if it is time for that."""
+        """Send the collected records if it is time."""
 
     def launched(self, run: Run) -> None:
         """See Companion."""
@@ -51,7 +51,7 @@ class Feed(ABC):
         self._launched = run.conduct.now()
 
     def step(self, at: float, states: list[BodyState]) -> None:
-        """Poses at the rate of the trace's."""
+        """Pass on poses at the rate of the trace."""
         self._steps += 1
         if self._steps % POSE_EVERY != 1:
             return
@@ -64,7 +64,7 @@ class Feed(ABC):
         self._send()
 
     def show(self, at: float, states: list[BodyState]) -> None:
-        """Pass on the poses at a time between two of the trace's, and all else, at once."""
+        """Pass on the present poses and all collected records at once."""
         for pid, state in enumerate(states):
             self._take(Pose(pid, state.position, state.yaw), self._t(at))
         self._marks()
@@ -72,9 +72,9 @@ class Feed(ABC):
 
     @abstractmethod
     def flush(self) -> None:
-        """Send what was gathered, as far as it can be sent without waiting."""
+        """Send the collected records, as far as possible without waiting."""
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
         if not self._begun:
             self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
@@ -89,14 +89,14 @@ class Feed(ABC):
         self.flush()
 
     def _t(self, at: float) -> float:
-        """Seconds since round 1, before that since the launch."""
+        """Return the seconds since round 1; before it, since the launch."""
         t = self._run.t(at) if self._begun else None
         return at - self._launched if t is None else t
 
     def _begin(self) -> None:
-        """Round 1 has been heard of: from now on times count from it."""
+        """Switch to times since round 1, and pass on the early records again."""
         self._begun = True
-        self._anew()
+        self._reset()
         for agent in self._run.conduct.agents:
             self._take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
         for agent, records in self._early:
@@ -104,8 +104,8 @@ class Feed(ABC):
         self._early.clear()
 
     def _marks(self) -> None:
-        """What was found since the last time, by the stage's watch and by other companions."""
-        watch = self._run.stage.watch
+        """Pass on new violations of the separation monitor and new marks of companions."""
+        watch = self._run.scene.watch
         for (i, j), close in watch.too_close.items():
             if self._new("separation", (i, j)):
                 detail = f"{close.distance:.3f} m apart, less than {watch.min_separation:g} m"
@@ -117,9 +117,9 @@ class Feed(ABC):
             if self._new("bump", (i, number)):
                 self._violation(at, "collision", (i,), f"touched obstacle {number}")
         marks = self._run.marks
-        for mark in marks[self._told :]:
+        for mark in marks[self._marks_sent :]:
             self._take(mark, self._t(mark.t))
-        self._told = len(marks)
+        self._marks_sent = len(marks)
 
     def _new(self, what: str, who: tuple[int, int]) -> bool:
         known = (what, who) in self._seen

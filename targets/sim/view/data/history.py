@@ -1,5 +1,6 @@
-"""All rows of a run in bounded space: when a table has too many, every second one goes, so that what is left still
-covers the whole run. Violations, causes and the mission's end stay."""
+"""Rows of a whole run in bounded memory: a table that grows too large drops every second row.
+
+So the remaining rows still cover the whole run. Violations, causes and the mission's end are kept."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import msgspec
 from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.view.data.rows import FAULT, SKIPPED, Chunk, Rows
 
-# Of each table: rows of one robot (of one variable's writer), and of all together. 5 MB hold them.
+# Limits of rows: per robot (or writer of a variable), and in total. Together they need 5 MB.
 MOST_POSES, ALL_POSES = 4000, 40_000
 MOST_SHARED, SHARED_BYTES = 600, 1_200_000
 MOST_LOCALS, LOCALS_BYTES, LOCALS_OF_ONE = 600, 600_000, 4
@@ -24,7 +25,7 @@ Row = list[Any]
 
 
 class History:
-    """Rows of tables as they come, thinned; `whole` gives all that is left."""
+    """Collector that thins out rows as they arrive; `whole` returns the remaining ones."""
 
     def __init__(self, header: Header) -> None:
         robots = max(1, len(header.robots))
@@ -46,7 +47,7 @@ class History:
         self._kept: Chunk = {"marks": [], "markers": [], "obstacles": []}
 
     def extend(self, chunk: Chunk) -> None:
-        """Take in rows, each table's in the order of their times."""
+        """Add rows, each table's in order of time."""
         for table, rows in chunk.items():
             match table:
                 case "poses":
@@ -89,7 +90,7 @@ class History:
         self._locals[key].add(row)
 
     def whole(self) -> Chunk:
-        """All rows that are left, by table."""
+        """Return all remaining rows, by table."""
         by_robot: dict[str, Sequence[_Thinned | _Rounds]] = {
             "poses": self._poses,
             "rounds": self._rounds,
@@ -105,7 +106,7 @@ class History:
 
 
 class _Thinned:
-    """At most `most` rows and the last one: every 2^k-th of those that came."""
+    """At most `most` rows plus the last one: every 2^k-th row of those added."""
 
     def __init__(self, most: int) -> None:
         self._most = max(16, most)
@@ -137,7 +138,7 @@ class _Thinned:
 
 
 class _Values(_Thinned):
-    """Of a variable: what does not change is left out, what is long is cut, all of it takes `most_bytes` at most."""
+    """Rows of a variable: unchanged values are left out, long ones are cut, all take at most `most_bytes`."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         super().__init__(most)
@@ -163,7 +164,9 @@ class _Values(_Thinned):
 
 
 class _Rounds:
-    """Rounds with the same outcome become one row; when there are too many, neighbours do."""
+    """Rounds, with successive equal results joined into one row.
+
+    If there are too many, neighbours are joined."""
 
     def __init__(self, most: int) -> None:
         self._most = max(16, most)
@@ -185,7 +188,7 @@ class _Rounds:
 
 
 def _joined(a: Row, b: Row) -> Row:
-    """Two rows of rounds as one, which says the worse outcome, but an event before a skip."""
+    """Join two rows of rounds. The row keeps the worse result, but an event rather than a skip."""
     a_ranks = a[4] == FAULT or (a[4] != SKIPPED and b[4] != FAULT)
     outcome, what = (a if a_ranks else b)[4:]
     return [a[0], a[1], b[2], a[3] + b[3], outcome, what]
@@ -196,7 +199,7 @@ def _is_map(value: Any) -> bool:
 
 
 def gathered(header: Header, records: Iterable[TraceRecord]) -> Chunk:
-    """The rows of a whole trace, read through once."""
+    """Return the rows of a whole trace, read once."""
     rows, history = Rows(header), History(header)
     for number, record in enumerate(records):
         if not isinstance(record, Header):

@@ -1,9 +1,8 @@
-"""Markers, the places of interest: to do, taken, done. What a program's list of tasks says becomes visible.
+"""Markers (places of interest) with the states to do, taken and done: shows a program's list of tasks.
 
-A fixed marker is done when a robot has been within its radius. The elements of the marker list at the mission's start
-are markers, too: to do while they are in the list, taken when they have left it, done once a robot has been within
-their radius after that.
-"""
+A fixed marker is done when a robot has been within its radius. The elements of the program's marker list at the
+mission's start are markers, too: to do while they are in the list, taken after they have left it, done once a robot has
+been within their radius after that."""
 
 from __future__ import annotations
 
@@ -19,19 +18,20 @@ TO_DO, TAKEN, DONE = 0, 1, 2
 
 
 class Markers:
-    """`rows` are those of the table `markers`: t, number, state, and with the first one of a listed marker what it
-    is."""
+    """Marker states during a run.
+
+    `rows` belong to the table `markers`: t, number, state, and for the first row of a listed marker its description."""
 
     def __init__(self, header: Header) -> None:
         self._list = header.world.marker_list
         self._all: list[Marker] = list(header.world.markers)
-        self._states = [TAKEN] * len(self._all)  # wherever a robot may go there any time
-        self._elements: dict[bytes, int] | None = None  # of the list, by their JSON -> number
+        self._states = [TAKEN] * len(self._all)  # fixed markers count as taken: a robot may visit them at any time
+        self._elements: dict[bytes, int] | None = None  # elements of the list: JSON -> number of the marker
         self._path = _path(header)
         self.rows: list[list[Any]] = []
 
     def value(self, name: str, value: Any, t: float) -> None:
-        """A variable of the shared store has this value."""
+        """Apply a new value of a shared variable."""
         if self._list is None or name != self._list.variable or not isinstance(value, list):
             return
         there = {msgspec.json.encode(element): element for element in value}
@@ -50,7 +50,7 @@ class Markers:
                 self._set(number, TAKEN, t)
 
     def pose(self, position: Vector, t: float) -> None:
-        """A robot is there."""
+        """Apply a robot's position."""
         for number, marker in enumerate(self._all):
             if t >= 0 and self._states[number] == TAKEN and math.dist(position, marker.position) <= marker.radius:
                 self._set(number, DONE, t)
@@ -61,7 +61,7 @@ class Markers:
 
 
 def _path(header: Header) -> list[int]:
-    """Where in an element of the list its place is."""
+    """Return the path to the position within an element of the list."""
     found = header.world.marker_list
     if found is None or not found.position:
         return []

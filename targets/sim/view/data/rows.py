@@ -1,22 +1,24 @@
-"""What the pages show of a trace, as rows: one form for the report, which embeds them, and for the live view, which
-sends them on. `page/model.js` reads them; numbers are rounded to what can be seen.
+"""Rows of a trace for the pages: one format for the report and for the live view.
+
+The report embeds the rows, the live view streams them. `page/model.js` reads them. Numbers are rounded to what is
+visible.
 
 | table | rows |
 |---|---|
 | poses | pid, t, x, y, z, yaw |
-| rounds | pid, first t, last t, how many in a row, outcome (0 event, 1 skipped, 2 fault), what |
+| rounds | pid, first t, last t, number of equal rounds, outcome (0 event, 1 skipped, 2 fault), event or reason |
 | phases | pid, t, phase, detail |
 | logs | pid, t, level, text |
 | shared | name, writer's pid, t, round, value as JSON |
 | locals | pid, t, round, name, value as JSON |
 | paths | pid, t, points |
-| scans | pid, t, place of the lidar, what its rays met: cm east and north of there, one after the other |
+| scans | pid, t, position of the lidar, hits of its rays: cm east and north of there, alternating |
 | late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
 | near | t, distance of the closest pair (m), their pids |
-| marks | t, kind, what, robots' names, detail; of a cause that goes on how long (s) |
-| obstacles | t, number, the obstacle at the place to which it was moved |
-| markers | t, number, state (0 to do, 1 taken, 2 done); with the first one name, position, radius if it is of a list |
+| marks | t, kind, what, robots' names, detail; for a cause with a duration also that (s) |
+| obstacles | t, number, the obstacle at its new position |
+| markers | t, number, state (0 to do, 1 taken, 2 done); in the first row of a listed marker: name, position, radius |
 """
 
 from __future__ import annotations
@@ -48,42 +50,42 @@ from koordgen.runtime.trace.schema import (
 from koordgen.runtime.values.points import Point, Scan
 from targets.sim.base.bodies import Vector
 from targets.sim.trace.files import was_late
-from targets.sim.trace.noticed import Notable, said
+from targets.sim.trace.monitor_reports import DisplayFilter, said
 from targets.sim.view.data.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
 Chunk = dict[str, list[list[Any]]]
-SCAN_EVERY = 1.0  # seconds between the scans of one robot that become rows
+SCAN_EVERY = 1.0  # seconds between two displayed scans of one robot
 _decoder = msgspec.json.Decoder()
 _scan_decoder = msgspec.json.Decoder(list[tuple[Point, Scan]])
 
 
 class Rows:
-    """Makes rows of records, one after the other; `taken` gives those since the last time."""
+    """Converter of records to rows; `taken` returns the rows since the last call."""
 
     def __init__(self, header: Header) -> None:
         self._count = len(header.robots)
         self._names = [robot.name for robot in sorted(header.robots, key=lambda robot: robot.pid)]
-        self._notable = Notable()
+        self._notable = DisplayFilter()
         self._delta = header.delta
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}
         self._near = _Nearest(self._count)
         self._paths: dict[int, bytes] = {}
-        self._scanned: dict[int, float] = {}  # t of each robot's last row of `scans`
+        self._scanned: dict[int, float] = {}  # time of each robot's last row of `scans`
         self._markers = Markers(header)
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
-        self._begun: set[str] = set()  # variables of which a first value is known
+        self._begun: set[str] = set()  # variables whose first value is known
 
     def taken(self) -> Chunk:
-        """The rows since the last time, by table."""
+        """Return the rows since the last call, by table."""
         if self._markers.rows:
             self._chunk["markers"], self._markers.rows = self._markers.rows, []
         chunk, self._chunk = self._chunk, {}
         return chunk
 
     def take(self, record: TraceRecord, t: float) -> None:
-        """Make rows of one record; `t` is its time, whatever it says itself."""
+        """Convert one record; `t` overrides its own time."""
         t = round(t, 3)
         match record:
             case Violation(what=what, robots=robots):
@@ -148,7 +150,7 @@ class Rows:
         self._lateness(record, t)
 
     def _first_values(self, record: Round, t: float) -> None:
-        """What nobody has written yet: the first copy of the store that is told has it."""
+        """Add rows for values that nobody has written yet, from the first recorded copy of the store."""
         for name, raw in record.copy.items():
             if name in self._begun:
                 continue
@@ -163,7 +165,7 @@ class Rows:
                 self._markers.value(name, value, t)
 
     def _writes(self, record: Init | Round, number: int, t: float) -> None:
-        """Add rows for what was written: locals, the shared store, and where to go, a path or a single target."""
+        """Add rows for written locals and shared variables, and for the commanded path or target."""
         for name, raw in record.locals.items():
             self._add("locals", [record.pid, t, number, name, _decoder.decode(raw)])
         for name, raw in record.shared.items():
@@ -180,7 +182,7 @@ class Rows:
                 self._add("paths", [record.pid, t, [[_small(c) for c in point] for point in points]])
 
     def _scan(self, record: Round, t: float) -> None:
-        """Add a row for the newest lidar scan that the round's event could see, at most every SCAN_EVERY seconds."""
+        """Add a row for the round's newest lidar scan, at most one per SCAN_EVERY seconds."""
         if t < self._scanned.get(record.pid, -math.inf) + SCAN_EVERY:
             return
         for port, raw in record.sensors.items():
@@ -208,14 +210,14 @@ class Rows:
         row[4] += was_late(record, self._delta)
 
     def end(self) -> None:
-        """The trace is over: what was still gathered becomes rows."""
+        """Add the rows that were still collected at the trace's end."""
         for row in self._second.values():
             self._add("late", row)
         self._second.clear()
 
 
 class _Nearest:
-    """The distance of the closest pair at each time at which all robots' poses are known."""
+    """Distance of the closest pair at each time at which all robots' poses are known."""
 
     def __init__(self, count: int) -> None:
         self._places = np.full((count, 3), np.nan)
@@ -227,7 +229,7 @@ class _Nearest:
         if pid != self._last or pid == 0:
             return None
         apart = np.linalg.norm(self._places[self._left] - self._places[self._right], axis=1)
-        k = int(np.argmin(apart))  # a NaN comes first: someone has no pose yet
+        k = int(np.argmin(apart))  # argmin returns a NaN first: a robot has no pose yet
         if math.isnan(apart[k]):
             return None
         return [t, _small(float(apart[k])), int(self._left[k]), int(self._right[k])]

@@ -1,4 +1,4 @@
-"""`koordgen show`: what each robot of a run knew at one time, for people or as JSON."""
+"""`koordgen show`: the values that each robot of a run knew at one time, as text or JSON."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from koordgen.runtime.trace.schema import End, Header, TraceRecord, Violation
 from targets.sim.judging.summary import place, seconds
 from targets.sim.trace.beliefs import Belief, Beliefs
 
-LONGEST = 200  # characters of a value, for people
-DIGITS = 4  # behind the point, for people
-SAME = 1e-3  # seconds: a round that begins at the time asked for is shown
+LONGEST = 200  # characters of a value in text
+DIGITS = 4  # decimals in text
+SAME = 1e-3  # seconds: a round that begins at the requested time is included
 
 
 def at(header: Header, records: Iterable[TraceRecord], time: float | None) -> tuple[float, Beliefs]:
-    """Return the beliefs at a time (s since round 1), and that time. Without one it is the first violation's, else the
-    mission's end. Raises BadTrace."""
+    """Return the time and the beliefs at it (s since round 1).
+
+    Without a time: the first violation, otherwise the mission's end. Raises BadTrace."""
     beliefs, now = Beliefs(header), 0.0
     for record in records:
         if isinstance(record, Header):
@@ -33,7 +34,7 @@ def at(header: Header, records: Iterable[TraceRecord], time: float | None) -> tu
 
 
 def as_json(header: Header, time: float, beliefs: Beliefs) -> str:
-    """One document; an allread variable is an object by robot."""
+    """Return one JSON document; an allread variable is an object by robot."""
     robots = []
     for robot in header.robots:
         belief = beliefs.robots[robot.pid]
@@ -46,7 +47,7 @@ def as_json(header: Header, time: float, beliefs: Beliefs) -> str:
 
 
 def as_text(header: Header, time: float, beliefs: Beliefs) -> str:
-    """A block for each robot."""
+    """Return a block of text for each robot."""
     lines = [f"{header.app} at {seconds(time)} s since round 1"]
     for robot in header.robots:
         lines += ["", *_block(header, robot.name, beliefs.robots[robot.pid])]
@@ -69,7 +70,7 @@ def _block(header: Header, name: str, belief: Belief) -> list[str]:
 
 
 def _by_robot(header: Header, value: Any) -> Any:
-    """Slots by the names of their owners."""
+    """Replace pids by robots' names in the slots of an allread variable."""
     if not isinstance(value, dict):
         return value
     return {robot.name: value[robot.pid] for robot in header.robots if robot.pid in value}

@@ -1,8 +1,9 @@
-"""A trace as CSV: a file for each kind of record, whole, for spreadsheets and pandas. `COLUMNS` says what is in each.
+"""Export of a trace as CSV for spreadsheets and pandas.
 
-t is in seconds since the start of round 1, places in metres (local ENU), yaw in radians; values of the program are
-JSON. A file without records has its heads alone.
-"""
+A file for each kind of record, with `COLUMNS`.
+
+t is in seconds since the start of round 1, positions in metres (local ENU), yaw in radians; values of the program are
+JSON. A file without records has only the column names."""
 
 from __future__ import annotations
 
@@ -63,7 +64,7 @@ def write(folder: Path, header: Header, records: Iterable[TraceRecord]) -> None:
 
 
 def _believed(record: TraceRecord, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
-    """Rows for what a robot knows from now on: locals, and shared variables by its own copy."""
+    """Yield rows for new values that a robot knows: its locals, and shared variables in its own copy."""
     for change in beliefs.take(record):
         if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
             robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))

@@ -1,4 +1,4 @@
-"""Where each robot was, as arrays, with all else that pictures show: markers, maps, marks."""
+"""Tracks: each robot's positions over time as arrays, with markers, maps and marks for pictures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Marked:
-    """A marker, and from when on it was in which state."""
+class MarkerHistory:
+    """A marker with its states and the times when they began."""
 
     position: Vector
     radius: float
@@ -31,9 +31,11 @@ class Marked:
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """`times[pid]` (s) and `places[pid]` (x, y, z in m, yaw in rad: a row each); `near` is t and the smallest distance;
-    `maps` are GridMaps as they came, by variable and slot (-1: of all); `paths[pid]` are t and points. `end` is the
-    mission's, `violations` are t, what and who."""
+    """Data of a run for pictures.
+
+    `times[pid]` (s) and `places[pid]` (one row x, y, z in m, yaw in rad per sample). `near`: t and smallest distance.
+    `maps`: GridMaps over time by variable and slot (-1: an allwrite variable). `paths[pid]`: t and points. `end`: the
+    mission's end. `violations`: t, kind and robots."""
 
     header: Header
     times: list[Array]
@@ -41,22 +43,22 @@ class Tracks:
     near: Array
     end: float | None
     violations: list[tuple[float, str, list[str]]]
-    markers: list[Marked]
+    markers: list[MarkerHistory]
     maps: dict[tuple[str, int], list[tuple[float, Any]]]
     paths: list[list[tuple[float, Array]]]
 
     def span(self) -> tuple[float, float]:
-        """The first and the last moment."""
+        """Return the first and the last time."""
         known = [t for t in self.times if len(t)]
         return (min(float(t[0]) for t in known), max(float(t[-1]) for t in known)) if known else (0.0, 1.0)
 
     def upto(self, pid: int, t: float) -> int:
-        """How many of a robot's samples are not later."""
+        """Return the number of a robot's samples up to `t`."""
         return int(np.searchsorted(self.times[pid], t, side="right"))
 
 
 def tracks(header: Header, rows: Chunk) -> Tracks:
-    """The arrays of a run's rows."""
+    """Convert the rows of a run to arrays."""
     own: list[list[list[float]]] = [[] for _ in header.robots]
     for row in rows["poses"]:
         own[row[0]].append(row[1:])
@@ -64,10 +66,10 @@ def tracks(header: Header, rows: Chunk) -> Tracks:
     paths: list[list[tuple[float, Array]]] = [[] for _ in header.robots]
     for pid, t, points in rows["paths"]:
         paths[pid].append((t, np.array(points, dtype=np.float64).reshape(-1, 3)))
-    markers = [Marked(m.position, m.radius, []) for m in header.world.markers]
+    markers = [MarkerHistory(m.position, m.radius, []) for m in header.world.markers]
     for t, number, state, *more in rows["markers"]:
         if more and number == len(markers):
-            markers.append(Marked(more[0]["position"], more[0]["radius"], []))
+            markers.append(MarkerHistory(more[0]["position"], more[0]["radius"], []))
         markers[number].states.append((t, state))
     kinds = {v.name: v.kind for v in header.shared if v.type == "GridMap"}
     maps: dict[tuple[str, int], list[tuple[float, Any]]] = {}
@@ -88,8 +90,9 @@ def tracks(header: Header, rows: Chunk) -> Tracks:
 
 
 def cells(value: Any) -> tuple[NDArray[np.uint8], tuple[float, float, float, float]] | None:
-    """A GridMap's cells, row by row from below (0 unknown, 1 free, 3 occupied), and where it lies: left, right, below,
-    above. None of what is none, or empty."""
+    """Return a GridMap's cells and extent, None for an invalid or empty one.
+
+    Cells: row by row from below (0 unknown, 1 free, 3 occupied). Extent: left, right, bottom, top."""
     try:
         size, x, y, width, height, packed = value
         raw = np.frombuffer(b64decode(packed), dtype=np.uint8)

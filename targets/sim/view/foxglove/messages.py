@@ -1,5 +1,6 @@
-"""A run as messages for Foxglove, of the schemas of schemas.py: what an MCAP file holds (recording.py), and what is
-streamed while a run goes on (stream.py). Both have the same topics, so that one layout fits both.
+"""Messages of a run for Foxglove, with the schemas of schemas.py.
+
+They go into files (recording.py) and streams (stream.py). Both have the same topics, so one layout fits both.
 
 | topic | schema |
 |---|---|
@@ -9,7 +10,8 @@ streamed while a run goes on (stream.py). Both have the same topics, so that one
 | /maps/VARIABLE | foxglove.Grid |
 | /rounds/ROBOT, /shared/VARIABLE, /phases, /metrics/ROBOT, /verdicts, /causes, /separation | koord.* |
 
-Times of messages are nanoseconds from a time that the caller chooses; `t` in koord.* messages is since round 1, in s.
+Times of messages are nanoseconds since a time that the caller chooses. In koord.* messages `t` is in seconds since
+round 1.
 """
 
 from __future__ import annotations
@@ -42,12 +44,13 @@ from targets.sim.view.foxglove import scene
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 UINT8 = 1
-Message = tuple[str, str, dict[str, Any]]  # topic, schema, what
+Message = tuple[str, str, dict[str, Any]]  # topic, schema, content
 
 
 class Messages:
-    """Makes messages of records in their order (`of`), or of rows (`of_rows`). Of records those that must be worked out
-    of several come as rows, as for the pages."""
+    """Converter of records (`of`) or rows (`of_rows`) to messages.
+
+    Messages that depend on several records are built from rows, as for the pages."""
 
     def __init__(self, header: Header) -> None:
         self._header = header
@@ -93,8 +96,9 @@ class Messages:
         yield from self._worked_out(self._rows.taken(), at)
 
     def of_rows(self, rows: Chunk, nanoseconds: Callable[[float], int]) -> Iterator[tuple[int, Message]]:
-        """Yield the messages of rows (rows.py) with their times, which `nanoseconds` makes of t. A row of rounds gives
-        one message, for its last round."""
+        """Yield the messages of rows (rows.py) with their times; `nanoseconds` converts t.
+
+        A row of rounds becomes one message, for its last round."""
         for pid, t, x, y, z, yaw in rows.get("poses", ()):
             yield from _at(nanoseconds(t), _pose(nanoseconds(t), self._names[pid], (x, y, z), yaw))
         for pid, t, phase, detail in rows.get("phases", ()):
@@ -181,7 +185,9 @@ def _round(record: Round, name: str) -> dict[str, Any]:
 
 
 def _grid(at: int, value: Any) -> dict[str, Any] | None:
-    """A GridMap: a byte a cell, 0 unknown, 1 free, 3 occupied; None for what is none, or has no cells."""
+    """Convert a GridMap.
+
+    One byte per cell, 0 unknown, 1 free, 3 occupied; None for an invalid or empty one."""
     try:
         size, x, y, width, height, packed = value
         raw = b64decode(packed)

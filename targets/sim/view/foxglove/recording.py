@@ -1,9 +1,8 @@
-"""A trace as MCAP with JSON messages, which Foxglove opens: poses, transforms, a scene, logs, maps, and the program's
-rounds, shared variables, verdicts and metrics.
+"""Export of a trace as MCAP with JSON messages for Foxglove.
 
-A message's time counts from the trace's first moment, because MCAP knows none below 0; the file's metadata record
-`koord` says when round 1 begins, and koord.* messages have `t` since then. The same trace gives the same bytes.
-"""
+It has poses, transforms, a scene, logs, maps, and the program's rounds, shared variables, verdicts and metrics. Times
+count from the trace's first record, because MCAP has no negative times. The file's metadata record `koord` has the
+start of round 1; koord.* messages have `t` since then. The same trace gives the same bytes."""
 
 from __future__ import annotations
 
@@ -42,7 +41,9 @@ def write(path: Path, header: Header, records: Iterable[TraceRecord]) -> None:
 
 
 class _Channels:
-    """Writes messages, each topic a channel, each schema once. `zero` is the t of time 0 in the file."""
+    """Writer of messages: a channel for each topic, each schema once.
+
+    `zero` is the t of time 0 in the file."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer

@@ -1,4 +1,4 @@
-"""The world and what is in it as entities of a foxglove.SceneUpdate: metres, local ENU, frame `map`."""
+"""World and robots as entities of a foxglove.SceneUpdate: metres, local ENU, frame `map`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Entity = dict[str, Any]
 LISTS = ("metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 STILL: dict[str, float] = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 LINE_STRIP, LINE_LIST = 0, 2
-BODY = {"car": (0.5, 0.26, 0.2)}  # metres; others are as a small quadrotor is
+BODY = {"car": (0.5, 0.26, 0.2)}  # metres; other targets have the size of a small quadrotor
 QUAD = (0.36, 0.36, 0.1)
 
 
@@ -35,14 +35,18 @@ def pose(place: Iterable[float], yaw: float = 0.0) -> dict[str, Any]:
 
 
 def entity(at: int, name: str, frame: str = FRAME, **primitives: Any) -> Entity:
-    """An entity that stays until another of its name comes; locked to its frame when that is a robot's."""
+    """Return an entity that stays until the next one of its name.
+
+    Locked to its frame if that is a robot's."""
     rest: Entity = {key: [] for key in LISTS}
     head = {"timestamp": stamp(at), "frame_id": frame, "id": name, "lifetime": stamp(0), "frame_locked": frame != FRAME}
     return {**head, **rest, **primitives}
 
 
 def standing(header: Header, at: int) -> list[Entity]:
-    """What does not move: obstacles, geofence, arena; and the robots' bodies, each in its own frame."""
+    """Return the static entities.
+
+    Obstacles, geofence, arena, and the robots' bodies, each in its own frame."""
     found = [obstacle(o, at, k) for k, o in enumerate(header.obstacles)]
     if header.geofence:
         found.append(_frame(at, "geofence", *header.geofence))
@@ -60,7 +64,7 @@ def standing(header: Header, at: int) -> list[Entity]:
 
 
 def path(at: int, robot: str, pid: int, points: list[list[float]]) -> Entity:
-    """Where a robot was told to go."""
+    """Return a robot's commanded path."""
     return entity(at, f"path {robot}", lines=[_line(LINE_STRIP, points, of_robot(pid), 0.03)])
 
 
@@ -79,7 +83,7 @@ def _line(kind: int, points: Iterable[Iterable[float]], colour: str, thickness: 
 
 
 def _frame(at: int, name: str, lo: Iterable[float], hi: Iterable[float]) -> Entity:
-    """The twelve edges of a box."""
+    """Return the twelve edges of a box."""
     (x0, y0, z0), (x1, y1, z1) = lo, hi
     points: list[tuple[float, float, float]] = []
     for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
@@ -90,7 +94,7 @@ def _frame(at: int, name: str, lo: Iterable[float], hi: Iterable[float]) -> Enti
 
 
 def obstacle(obstacle: Obstacle, at: int, number: int) -> Entity:
-    """The obstacle of a number."""
+    """Return the entity of an obstacle."""
     name = f"obstacle {number}"
     colour = rgba(STONE, 0.8)
     match obstacle:

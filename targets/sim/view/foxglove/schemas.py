@@ -1,5 +1,7 @@
-"""The JSON schemas of an MCAP file. Those named foxglove.* have the fields that Foxglove publishes for its well-known
-schemas, so that its panels know them; koord.* are ours. Every field that is declared is there in each message."""
+"""JSON schemas of the messages for Foxglove.
+
+Schemas foxglove.* have the fields that Foxglove publishes for its well-known schemas, so its panels understand them;
+koord.* are defined here. Each message has every declared field."""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ ANYTHING: Schema = {}
 
 
 def table(**properties: Schema) -> Schema:
-    """An object with just these fields."""
+    """Return the schema of an object with exactly these fields."""
     return {"type": "object", "properties": properties, "required": list(properties)}
 
 
@@ -90,5 +92,5 @@ SCHEMAS: dict[str, Schema] = {
 
 
 def schema(name: str) -> Schema:
-    """One of them, whole."""
+    """Return the full schema of a name."""
     return {"title": name, "$schema": "https://json-schema.org/draft/2020-12/schema", **SCHEMAS[name]}

@@ -1,10 +1,8 @@
-"""`--foxglove`: a run, or a fleet, as a stream for Foxglove while it goes on, by Foxglove's own SDK.
+"""`--foxglove`: live stream of a run or a fleet to Foxglove, by Foxglove's own SDK.
 
-The SDK serves the WebSocket on threads of its own. What a client does not read in time is dropped there, so nothing
-waits for a client. Messages of a topic that nobody reads are not even encoded, but for those that a client needs who
-comes later: the newest state of the scene, of maps, of shared variables and of phases is kept, and sent again to all
-clients of the topic when one joins.
-"""
+The SDK serves the WebSocket on threads of its own and drops messages that a client does not read in time, so nothing
+waits for a client. Messages of a topic without readers are not even encoded. But the newest state of the scene, maps,
+shared variables and phases is kept, and sent again to all clients of a topic when a client joins."""
 
 from __future__ import annotations
 
@@ -28,8 +26,10 @@ PACKAGE = "foxglove-sdk"
 
 
 class FoxgloveServer:
-    """Serves topics at `url`. All methods but the constructor may be called from any thread, and none waits for a
-    client. Raises ModuleNotFoundError without the package, OSError when the port cannot be had."""
+    """Server of topics at `url`.
+
+    All methods but the constructor may be called from any thread, and none waits for a client. Raises
+    ModuleNotFoundError without the package, OSError if the port is not available."""
 
     def __init__(self, header: Header, port: int, host: str = HOST) -> None:
         try:
@@ -39,7 +39,8 @@ class FoxgloveServer:
         self._foxglove: Any = foxglove
         self._context: Any = foxglove.Context()
         self._channels: dict[str, Any] = {}
-        self._kept: dict[str, dict[str, tuple[int, dict[str, Any]]]] = {}  # topic, then entity or robot
+        # topic -> entity or robot -> time and content
+        self._kept: dict[str, dict[str, tuple[int, dict[str, Any]]]] = {}
         self._lock = threading.RLock()
         self._messages = Messages(header)
         try:
@@ -63,7 +64,7 @@ class FoxgloveServer:
                     channel.log(msgspec.json.encode(what), log_time=at)
 
     def rows(self, chunk: Chunk, nanoseconds: Callable[[float], int]) -> None:
-        """Send rows (rows.py), whose t `nanoseconds` turns into the time of a message."""
+        """Send rows (rows.py); `nanoseconds` converts t to the time of a message."""
         for at, message in self._messages.of_rows(chunk, nanoseconds):
             self.put(at, (message,))
 
@@ -86,7 +87,7 @@ class FoxgloveServer:
             kept[what.get("robot", "")] = at, what
 
     def _renew(self, topic: str) -> None:
-        """A client has joined the topic."""
+        """Send the kept state of a topic that a client has joined."""
         with self._lock:
             kept = self._kept.get(topic, {})
             if topic == "/scene" and kept:
@@ -103,7 +104,7 @@ class FoxgloveServer:
 
 
 class _Latecomers:
-    """The listener of the SDK's server: as much as is called of one whose clients may only read."""
+    """Listener of the SDK's server. Only these callbacks occur, for clients may only read."""
 
     def __init__(self, joined: Callable[[str], None]) -> None:
         self._joined = joined
@@ -112,11 +113,11 @@ class _Latecomers:
         self._joined(channel.topic)
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
-        """Nothing is kept of clients."""
+        """Do nothing: the server keeps no data of clients."""
 
 
 class Streamed(Feed):
-    """A companion that streams a run. Times of messages count from the launch, and so never go back."""
+    """Companion that streams a run. Times of messages count from the launch, so they never decrease."""
 
     def __init__(self, header: Header, server: FoxgloveServer) -> None:
         super().__init__(header)
@@ -126,25 +127,26 @@ class Streamed(Feed):
 
     def _take(self, record: TraceRecord, t: float) -> None:
         if isinstance(record, Header) or (not self._begun and isinstance(record, (Init, Round))):
-            return  # what is heard before it is known when round 1 began comes again then
+            return  # records before the start of round 1 are passed on again later
         at = max(0, round((t + self._shift) * 1e9))
         self._server.put(at, self._messages.of(msgspec.structs.replace(record, t=round(t, 6)), at))
 
-    def _anew(self) -> None:
+    def _reset(self) -> None:
         zero = self._run.zero
         self._shift = 0.0 if zero is None else zero - self._launched
 
     def _send(self) -> None:
-        """Each message goes at once."""
+        """Do nothing: each message is sent at once."""
 
     def flush(self) -> None:
-        """See Feed: each message goes at once."""
+        """Do nothing: each message is sent at once. See Feed."""
 
 
 @contextmanager
 def streamed(header: Header, port: int | None) -> Iterator[Streamed | None]:
-    """The stream while a run goes on, None without a port; its address goes to standard error. Raises as
-    FoxgloveServer."""
+    """Context manager of the stream during a run; yields None without a port.
+
+    Prints its address to standard error. Raises as FoxgloveServer."""
     if port is None:
         yield None
         return

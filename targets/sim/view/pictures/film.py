@@ -1,4 +1,4 @@
-"""The run as a film from above, for a talk: an animated GIF by Pillow, or MP4 by ffmpeg."""
+"""Animated top view of a run: a GIF by Pillow, or MP4 by ffmpeg."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from targets.sim.view.data.tracks import Tracks
 from targets.sim.view.pictures import ground
 
 Frame = NDArray[np.uint8]
-TAIL = 8.0  # seconds of each robot's way that are shown strongly
-# Frames a second, the longest film in seconds, dots per inch.
+TAIL = 8.0  # seconds of each robot's track that are highlighted
+# Frames per second, longest film in seconds, dots per inch.
 GIF, MP4 = (10, 20.0, 80), (20, 45.0, 110)
 SPEEDS = (1, 2, 3, 4, 5, 8, 10, 15, 20, 30, 60, 120, 300, 600)
 ARROW = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.45, 0.0], [-0.8, -0.65]])
 
 
 def write(path: Path, found: Tracks, moving: bool) -> None:
-    """Write a film: MP4 if it is `moving`, else a GIF. Long runs go by faster, as the film itself says. Raises
-    CannotMake, OSError."""
+    """Write a film: MP4 if `moving`, otherwise a GIF.
+
+    Long runs are sped up, as the title shows. Raises CannotMake, OSError."""
     if moving and shutil.which("ffmpeg") is None:
-        hint = "install it (Debian: apt install ffmpeg), or --to gif"
+        hint = "install it (Debian: apt install ffmpeg), or use --to gif"
         raise CannotMake("MP4 needs ffmpeg, which is not installed", hint)
     rate, longest, dots = MP4 if moving else GIF
     first, last = _span(found)
@@ -52,13 +53,14 @@ def _as_gif(path: Path, frames: Iterator[Frame], rate: int) -> None:
     palette = _palette()
     pictures = (Image.fromarray(f).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
     begin = next(pictures)
-    with path.open("wb") as file:  # so that a full disk is told with the file's name
+    with path.open("wb") as file:  # a file object, so that an error such as a full disk names the file
         begin.save(file, "GIF", save_all=True, append_images=pictures, duration=1000 // rate, loop=0)
 
 
 def _palette() -> Image.Image:
-    """All colours of the scene and their blends with white, in which lines end; exact, which none is that is found
-    from a frame."""
+    """Return a palette of all colours of the scene and their blends with white, which edges of lines have.
+
+    Its colours are exact, unlike those of a palette computed from a frame."""
     bases = ("#000000", ground.UNKNOWN, ground.OCCUPIED, *dict.fromkeys((*STATES, *COLOURS)))
     parts = [[int(base[k : k + 2], 16) for k in (1, 3, 5)] for base in bases]
     blends = {tuple(round(255 + (p - 255) * k / 8) for p in part) for part in parts for k in range(9)}
@@ -78,23 +80,23 @@ def _as_mp4(path: Path, frames: Iterator[Frame], rate: int) -> None:
             with encoder.stdin as pipe:
                 for frame in chain([begin], frames):
                     pipe.write(frame.tobytes())
-        except BrokenPipeError:  # its own words say why
+        except BrokenPipeError:  # ffmpeg's own output has the reason
             pass
         if encoder.wait() != 0:
             said.seek(0)
             words = said.read().decode("utf-8", "replace").strip().splitlines()
-            raise CannotMake(f"ffmpeg could not write the film: {words[-1] if words else 'it did not say why'}", "")
+            raise CannotMake(f"ffmpeg could not write the film: {words[-1] if words else 'no error message'}", "")
 
 
 def _span(found: Tracks) -> tuple[float, float]:
-    """From a second before round 1 to the mission's end, and what little follows it."""
+    """Return the times shown: from a second before round 1 to shortly after the mission's end."""
     first, last = found.span()
     end = last if found.end is None else min(last, found.end + 1.0)
     return max(first, min(-1.0, end - 1.0)), max(end, first + 0.5)
 
 
 class _Scene:
-    """What moves: robots with their ways, paths ahead, markers, maps."""
+    """Moving parts of the picture: robots with their tracks, planned paths, markers, maps."""
 
     def __init__(self, axes: Any, found: Tracks, speed: int) -> None:
         self._axes, self._found, self._speed = axes, found, speed
@@ -102,7 +104,7 @@ class _Scene:
         ground.lay(axes, found.header)
         if found.header.geofence is None:
             self._fit()
-        axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # as they are; a map would fit them to itself
+        axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the limits, or a map would change them
         self._title = axes.set_title("0", loc="left", animated=True)
         self._ways = [axes.plot([], [], linewidth=1.2, alpha=0.45, **ground.style(p))[0] for p in self._pids()]
         self._tails = [axes.plot([], [], linewidth=2.6, color=of_robot(p))[0] for p in self._pids()]
@@ -128,7 +130,7 @@ class _Scene:
             self._axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
     def frame(self, t: float) -> Frame:
-        """The picture of a time, rows from above, RGBA. What stands still is drawn once."""
+        """Return the picture at a time, rows from above, RGBA. The static background is drawn once."""
         canvas = self._axes.figure.canvas
         if self._still is None:
             canvas.draw()
@@ -147,7 +149,7 @@ class _Scene:
         return np.array(canvas.buffer_rgba())
 
     def _map(self, t: float) -> list[Any]:
-        """The first map of the shared store."""
+        """Draw the first map of the shared store."""
         series = next(iter(self._found.maps.values()), [])
         value = next((v for at, v in reversed(series) if at <= t), None)
         image = ground.draw_map(self._axes, value)

@@ -1,4 +1,4 @@
-"""The ground of every view from above: arena, geofence, obstacles, maps, markers; on axes of matplotlib."""
+"""Background of top views on axes of matplotlib: arena, geofence, obstacles, maps, markers."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from matplotlib.patheffects import withStroke
 STYLE = {
     "font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#DDDDDD", "grid.linewidth": 0.7, "axes.axisbelow": True, "figure.dpi": 110, "svg.hashsalt": "koord",
-    "text.parse_math": False,  # names are names, whatever is in them
+    "text.parse_math": False,  # names may contain any character
 }  # fmt: skip
-HALO = [withStroke(linewidth=3, foreground="white")]  # of words that stand on lines
+HALO = [withStroke(linewidth=3, foreground="white")]  # around text on top of lines
 TICK = Lines([(-0.5, 0.0), (-0.15, -0.4), (0.5, 0.45)])
 UNKNOWN, FREE, OCCUPIED = "#C9CCD1", "#FFFFFF", "#2B2F38"
 
 
 def style(pid: int) -> dict[str, Any]:
-    """A robot's colour and dashes."""
+    """Return a robot's colour and dashes."""
     return {"color": COLOURS[pid % len(COLOURS)], "linestyle": DASHES[pid // len(COLOURS) % len(DASHES)]}
 
 
 def lay(axes: Any, header: Header, filled: bool = True) -> None:
-    """Frames and obstacles, the latter as outlines unless `filled`; both axes at one scale, named."""
+    """Draw frames and obstacles (as outlines unless `filled`), with axes of equal scale and labels."""
     if header.geofence:
         (x0, y0, _), (x1, y1, _) = header.geofence
         axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
@@ -68,7 +68,7 @@ def _seen_from_above(obstacle: Obstacle, filled: bool) -> Any:
 
 
 def mark(axes: Any, found: Tracks, t: float) -> list[Any]:
-    """The markers as they are at a time: to do a ring, taken a ring with a dot, done full with a tick."""
+    """Draw the markers at a time: to do as a ring, taken as a ring with a dot, done as a disc with a tick."""
     made = []
     for marker in found.markers:
         x, y, z = marker.position
@@ -92,7 +92,7 @@ def mark(axes: Any, found: Tracks, t: float) -> list[Any]:
 
 
 def draw_map(axes: Any, value: Any) -> Any:
-    """A GridMap's cells; the image, None of what is no map."""
+    """Draw a GridMap's cells. Return the image, None for an invalid map."""
     found = cells(value)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""The pictures of a run: coordinates over time, the top view, the smallest separation, maps; by matplotlib."""
+"""Plots of a run by matplotlib: coordinates over time, top view, smallest separation, maps."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from targets.sim.view.data.tracks import Tracks
 from targets.sim.view.pictures import ground
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
-LEAD = 0.15  # of the mission's length that is shown before round 1
+LEAD = 0.15  # share of the mission's length that is shown before round 1
 MOST_MAPS = 4  # rows of maps in a picture
 
 
 def draw(found: Tracks, folder: Path) -> dict[str, Path]:
-    """Write the pictures into `folder`; caption -> file. Raises OSError."""
+    """Write the plots into `folder`. Return caption -> file. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     made: dict[str, Path] = {}
     with plt.rc_context(ground.STYLE):
@@ -32,13 +32,13 @@ def draw(found: Tracks, folder: Path) -> dict[str, Path]:
 
 
 def _marker(found: Tracks, pid: int) -> str:
-    """One marker for each target."""
+    """Return the marker symbol of a robot's target."""
     kinds = sorted({robot.target for robot in found.header.robots})
     return MARKERS[kinds.index(found.header.robots[pid].target) % len(MARKERS)]
 
 
 def _span(found: Tracks) -> tuple[float, float]:
-    """The times shown: the mission, a little before it, and the way to rest."""
+    """Return the times shown: the mission, a little before it, and the safe stop."""
     first, last = found.span()
     return max(first, -LEAD * max(last, 1.0)), max(last, first + 0.1)
 
@@ -48,7 +48,7 @@ def _over_time(found: Tracks, axis: int, name: str, path: Path) -> Path:
     ends: list[tuple[float, int]] = []
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if len(times):
-            width = 2.8 - 1.2 * pid / max(1, len(found.times) - 1)  # lines that cover one another stay visible
+            width = 2.8 - 1.2 * pid / max(1, len(found.times) - 1)  # decreasing widths keep overlapping lines visible
             axes.plot(times, places[:, axis], linewidth=width, **ground.style(pid))
             ends.append((float(places[-1, axis]), pid))
     first, last = _span(found)
@@ -62,7 +62,7 @@ def _over_time(found: Tracks, axis: int, name: str, path: Path) -> Path:
 
 
 def _mark_times(axes: Any, found: Tracks) -> None:
-    """Round 1, the mission's end and the first violation, each named above the frame."""
+    """Mark round 1, the mission's end and the first violation, with labels above the frame."""
     marks = [(0.0, "round 1", GREY)] if found.header.started else []
     if found.end is not None:
         marks.append((found.end, "end of mission", GREY))
@@ -83,7 +83,7 @@ def _mark_times(axes: Any, found: Tracks) -> None:
 
 
 def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: float) -> None:
-    """Robots' names beside the ends of their lines, moved apart where they would cover one another."""
+    """Write robots' names beside the ends of their lines, moved apart to avoid overlaps."""
     low, high = axes.get_ylim()
     gap = (high - low) * min(0.055, 1 / max(1, len(ends)))
     heights: list[float] = []
@@ -168,7 +168,7 @@ def _separation(found: Tracks, path: Path) -> Path:
 
 
 def _maps(found: Tracks, name: str, path: Path) -> Path:
-    """A map of the shared store at a third, two thirds and the end of the mission; a row for each robot's slot."""
+    """Draw a shared map at 1/3, 2/3 and the end of the mission; one row for each robot's slot."""
     slots = sorted(slot for variable, slot in found.maps if variable == name)[:MOST_MAPS]
     end = found.span()[1] if found.end is None else found.end
     figure, grid = plt.subplots(

@@ -1,12 +1,11 @@
-"""The controls of a live run: pause, step and speed in lockstep, and faults that are given by hand.
+"""Control of a live run: pause, step and speed in lockstep, and faults injected by hand.
 
-Commands come from the live page as JSON objects (serve.py, guard.py); here they are judged. `do` is `pause`, `go`,
-`step` (to the beginning of the next round, and pause), `speed` with `factor` (times real time; null: as fast as it
-goes), or `fault` with `event`: an event of a scenario file without `at`.
+Commands arrive from the live page as JSON objects (serve.py, guard.py) and are executed here. `do` is `pause`, `go`,
+`step` (to the beginning of the next round, then pause), `speed` with `factor` (times real time; null: as fast as
+possible), or `fault` with `event`: an event of a scenario file without `at`.
 
-A fault that is given by hand is an event of the run's schedule from then on. All such events, behind those of the run's
-own scenario, stand in the file GIVEN of the run folder, a scenario file: with it a run in lockstep repeats itself.
-"""
+A fault injected by hand becomes an event of the run's schedule. All such events, after those of the run's own scenario,
+are written to the file GIVEN of the run folder, a scenario file: a lockstep run with it repeats the run."""
 
 from __future__ import annotations
 
@@ -21,9 +20,9 @@ from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import GIVEN
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Event, Schedule, read
-from targets.sim.run.crew import Agent
 from targets.sim.run.faults import Faults, check_obstacles, check_robots, told
-from targets.sim.view.web.live import Live, Paced
+from targets.sim.run.run_interface import AgentHandle
+from targets.sim.view.web.live import Live, PaceLimit
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -31,16 +30,17 @@ if TYPE_CHECKING:
 REAL_TIME = "only with --lockstep: in real time the robots' own clocks go on"
 FOLLOWING = "a run that follows a counterexample takes no faults: all that happens is the counterexample's"
 LEAST_FACTOR, MOST_FACTOR = 0.001, 1000.0
-PATIENCE = 0.1  # seconds of this host between two looks, while a run is paused, at what else may end the pause
+PATIENCE = 0.1  # seconds of the host between two checks during a pause for other reasons to end it
 
 
-class Impossible(Exception):
-    """A command that cannot be obeyed; the message says why."""
+class ImpossibleCommand(Exception):
+    """A command that cannot be executed; the message says why."""
 
 
-class Given:
-    """The faults that are given by hand. `scenario` are the plain values of the run's own scenario file, which these
-    faults continue; `folder` is the run's."""
+class ManualFaults:
+    """Faults injected by hand.
+
+    `scenario`: plain values of the run's own scenario file, which these faults continue. `folder`: the run's."""
 
     def __init__(self, faults: Faults, scenario: Any, folder: Path) -> None:
         self.faults = faults
@@ -50,15 +50,16 @@ class Given:
         self.count = 0
 
     def give(self, run: Run, event: Any, at: float) -> str:
-        """Bring about an event of a scenario file now, at `at` of the run's clock; return it in words. Raises
-        Impossible, and OSError when the file cannot be written."""
+        """Inject an event of a scenario file now, at `at` of the run's clock. Return its description.
+
+        Raises Impossible, and OSError if the file cannot be written."""
         t = run.t(at)
         if t is None or t < 0:
-            raise Impossible("faults can be given once round 1 has begun")
+            raise ImpossibleCommand("faults can be injected only after round 1 has begun")
         if any(agent.told for agent in run.conduct.agents):
-            raise Impossible("the mission is over")
+            raise ImpossibleCommand("the mission is over")
         if not isinstance(event, dict) or "at" in event:
-            raise Impossible("a fault is an event of a scenario file, without `at`: it happens now")
+            raise ImpossibleCommand("a fault is an event of a scenario file without `at`, because it begins now")
         data = {"at": t, **event}
         found = self._checked(run, data)
         self._events.append(data)
@@ -66,48 +67,50 @@ class Given:
         self.count += 1
         self.faults.give(found.events[0], at)
         (brought,) = found.events
-        return _said(brought, t)
+        return _described(brought, t)
 
     def _checked(self, run: Run, data: Any) -> Schedule:
-        """The event alone. Raises Impossible."""
+        """Return a schedule with the event alone. Raises Impossible."""
         robots = run.scenario.robots
         names = [robot.name for robot in robots]
         _, mistakes = read({**self._scenario, "events": [*self._events, data]}, names)
         if mistakes:
             texts = (f"{m.message} ({m.hint})" if m.hint else m.message for m in mistakes)
-            raise Impossible("; ".join(texts).replace(f"event {len(self._events)}", "this fault"))
+            raise ImpossibleCommand("; ".join(texts).replace(f"event {len(self._events)}", "this fault"))
         found, _ = read({"events": [data]}, names)
         try:
             check_robots(found, robots)
             check_obstacles(found, len(run.scenario.obstacles))
         except BadScenario as error:
-            raise Impossible(f"{error} ({error.hint})") from None
+            raise ImpossibleCommand(f"{error} ({error.hint})") from None
         why = self.faults.impossible(found.events[0])
         if why:
-            raise Impossible(why)
+            raise ImpossibleCommand(why)
         return found
 
     def _write(self) -> None:
-        lines = ["# The faults of a run, those that were given by hand last; for `koordgen sim ... --scenario`"]
+        lines = ["# The faults of a run, ending with those injected by hand; for `koordgen sim ... --scenario`"]
         lines += [f"{key}: {_yaml(value)}" for key, value in self._scenario.items()]
         lines += ["events:", *(f"  - {_yaml(event)}" for event in self._events)]
         self._file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _said(event: Event, t: float) -> str:
-    """A fault that was given, in words."""
-    who = event.robots[0] if len(event.robots) == 1 else ""  # the detail names several
+def _described(event: Event, t: float) -> str:
+    """Return an injected fault as text."""
+    who = event.robots[0] if len(event.robots) == 1 else ""  # the detail names several robots
     lasts = "" if event.lasts is None else f" for {event.lasts:g} s"
     return f"{' '.join(filter(None, (event.kind, who, told(event))))}, at {t:.2f} s{lasts}"
 
 
 class Control:
-    """Implements `crew.Companion`. `given` is None for a run that takes no faults, `paced` for one in real time."""
+    """Companion that executes commands of the live page.
 
-    def __init__(self, view: Live, given: Given | None, paced: Paced | None) -> None:
+    `given` is None for a run without faults, `paced` for one in real time."""
+
+    def __init__(self, view: Live, given: ManualFaults | None, paced: PaceLimit | None) -> None:
         self._view, self._given, self._paced = view, given, paced
         self._paused = False
-        self._stop_at = math.inf  # of the run's clock: pause there
+        self._stop_at = math.inf  # time of the run's clock at which to pause
 
     def launched(self, run: Run) -> None:
         """See Companion."""
@@ -119,7 +122,7 @@ class Control:
         self._report()
 
     def step(self, at: float, states: list[BodyState]) -> None:
-        """See Companion. A pause is waited for here; it takes no time of the run's."""
+        """Execute commands, and wait during a pause, which takes no simulated time. See Companion."""
         if self._given is not None:
             self._given.faults.step(at, states)
         self._obey(self._view.commands(), at)
@@ -131,14 +134,14 @@ class Control:
             self._hold(self._paced, at, states)
         self._paced.step(at, states)
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
 
     def end(self, at: float) -> None:
         """See Companion."""
 
-    def _hold(self, paced: Paced, at: float, states: list[BodyState]) -> None:
-        """Wait until the pause is over. It is when the page's server or the run is to end, too."""
+    def _hold(self, paced: PaceLimit, at: float, states: list[BodyState]) -> None:
+        """Wait until the pause is over, or until the page's server or the run ends."""
         self._stop_at, paced.waited = math.inf, True
         self._view.show(at, states)
         self._report()
@@ -153,24 +156,24 @@ class Control:
         for command in commands:
             try:
                 message, bad = self._command(command, at), False
-            except Impossible as error:
+            except ImpossibleCommand as error:
                 message, bad = str(error), True
             self._report(message, bad)
 
     def _command(self, command: dict[str, Any], at: float) -> str:
-        """Obey a command; return what was done. Raises Impossible."""
+        """Execute a command. Return a description. Raises Impossible."""
         match command:
             case {"do": "fault", "event": event}:
                 if self._given is None:
-                    raise Impossible(FOLLOWING)
+                    raise ImpossibleCommand(FOLLOWING)
                 return self._given.give(self._run, event, at)
             case {"do": "pause" | "go" | "step" | "speed" as what}:
                 if self._paced is None:
-                    raise Impossible(f"{what}: {REAL_TIME}")
+                    raise ImpossibleCommand(f"{what}: {REAL_TIME}")
                 return self._pace(self._paced, what, command.get("factor"), at)
-        raise Impossible(f"unknown command {json.dumps(command):.60}; there are: pause, go, step, speed, fault")
+        raise ImpossibleCommand(f"unknown command {json.dumps(command):.60}; there are: pause, go, step, speed, fault")
 
-    def _pace(self, paced: Paced, what: str, factor: Any, at: float) -> str:
+    def _pace(self, paced: PaceLimit, what: str, factor: Any, at: float) -> str:
         match what:
             case "pause":
                 self._paused = True
@@ -181,12 +184,12 @@ class Control:
             case "speed":
                 sound = type(factor) in (int, float) and LEAST_FACTOR <= factor <= MOST_FACTOR
                 if factor is not None and not sound:
-                    raise Impossible(f"speed: factor must be {LEAST_FACTOR:g} to {MOST_FACTOR:g}, or null")
+                    raise ImpossibleCommand(f"speed: factor must be {LEAST_FACTOR:g} to {MOST_FACTOR:g}, or null")
                 paced.go(factor, at)
         return ""
 
     def _next_round(self, at: float) -> float:
-        """When the next round begins, on the run's clock; before round 1 each round's length counts as one."""
+        """Return the start of the next round on the run's clock. Before round 1, return one delta later."""
         delta, t = self._run.scenario.delta, self._run.t(at)
         return at + delta if t is None else at - t + (math.floor(t / delta + 1e-6) + 1) * delta - 1e-9
 
@@ -196,7 +199,7 @@ class Control:
 
 
 def _yaml(value: Any) -> str:
-    """A value as YAML of one line, which reads back as the same value."""
+    """Return a value as one line of YAML, which reads back as the same value."""
     match value:
         case dict():
             return "{" + ", ".join(f"{json.dumps(str(key))}: {_yaml(each)}" for key, each in value.items()) + "}"

@@ -1,8 +1,9 @@
-"""The dashboard's server: the live view's page with a table of the robots, fed by the reports of real agents.
+"""Server of the dashboard.
 
-It changes nothing, but for `stop`: the emergency stop, if it was given one. Another site can neither read the page (see
-Server) nor send that command (see Guard). With a token, a browser sends it once and has a cookie from then on.
-"""
+The live view's page with a table of the robots, fed by reports of real agents.
+
+It changes nothing, except for the emergency stop `stop`, if one was given. Another site can neither read the page (see
+Server) nor send that command (see ControlGuard). With a token, a browser sends it once and then has a cookie."""
 
 from __future__ import annotations
 
@@ -24,13 +25,13 @@ import msgspec
 
 from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 from targets.sim.view.foxglove.stream import FoxgloveServer
-from targets.sim.view.web.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
-from targets.sim.view.web.guard import Guard
+from targets.sim.view.web.fleet_rows import FRESH, FleetRows, LatestRows, Report, completed, read_report
+from targets.sim.view.web.guard import ControlGuard
 from targets.sim.view.web.page import page
-from targets.sim.view.web.serve import Handler, Hub, Server
+from targets.sim.view.web.serve import EventHub, Handler, Server
 
-TICK = 0.2  # seconds from one event for the pages to the next
-MOST_BROWSERS = 64  # that have sent the token and hold a cookie
+TICK = 0.2  # seconds between two events for the pages
+MOST_BROWSERS = 64  # browsers that hold a cookie
 LONGEST_BODY = 1024  # bytes
 COOKIE = "koordgen-dashboard"
 Stop = Callable[[], list[dict[str, Any]]]
@@ -59,24 +60,27 @@ LOGIN_POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self
 
 
 def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Header:
-    """Return the header of a fleet: names and targets of its robots by pid, and plain values of `facts` (delta,
-    geofence, obstacles, world), as far as they are known."""
+    """Return the header of a fleet from its robots' names and targets by pid, and from `facts`.
+
+    `facts`: plain values of delta, geofence, obstacles and world, as far as known."""
     names = tuple(RobotName(name, pid, target) for pid, (name, target) in enumerate(robots))
     bare = Header(FORMAT, "", "", 0.0, 0, names)
     try:
         return msgspec.convert({**msgspec.to_builtins(bare), **facts}, Header)
-    except msgspec.ValidationError:  # a folder of another release: the map has no obstacles
+    except msgspec.ValidationError:  # a folder of another release: show a map without obstacles
         return bare
 
 
 class Dashboard:
-    """Sends reports to the pages. `odd` returns the names of robots whose release differs from that of most.
-    `stream`: where the same goes for Foxglove, if anywhere; it is closed with the dashboard."""
+    """Distributor of reports to the pages.
+
+    `odd` returns the names of robots whose release differs from that of most. `stream`: Foxglove server that receives
+    the same rows; closed with the dashboard."""
 
     def __init__(
         self, header: Header, odd: Callable[[], Collection[str]], stream: FoxgloveServer | None = None
     ) -> None:
-        self.hub = Hub(header, Latest)
+        self.hub = EventHub(header, LatestRows)
         self._stream = stream
         self._rows = FleetRows(header)
         self._odd = odd
@@ -87,8 +91,9 @@ class Dashboard:
         self._over = threading.Event()
 
     def take(self, pid: int, plain: Mapping[str, Any] | None, note: str) -> None:
-        """Take what came of a question to robot `pid`: its report, or None and why there is none. May be called from
-        any thread. An error of the dashboard itself is shown in that robot's row, and the others go on."""
+        """Add the answer of robot `pid`: its report, or None with a note why there is none.
+
+        May be called from any thread. An internal error is shown in the robot's row, without effect on other robots."""
         t = time.monotonic() - self._zero
         report = None if plain is None else read_report(plain)
         with self._lock:
@@ -112,11 +117,11 @@ class Dashboard:
 
     @property
     def version(self) -> str:
-        """Differs when pages must be loaded anew: the header has changed, or the dashboard has begun anew."""
+        """Version of the page; it changes when pages must be reloaded: a new header, or a restarted dashboard."""
         return f"{self._made}-{self._renewed}"
 
     def tick(self) -> None:
-        """Tell the pages all that is new."""
+        """Send all news to the pages."""
         t = time.monotonic() - self._zero
         with self._lock:
             chunk, robots = self._rows.taken(t), self._rows.table()
@@ -130,7 +135,7 @@ class Dashboard:
         self.hub.send("fleet", {"t": t, "wall": time.time(), "fresh": FRESH, "version": self.version, "robots": robots})
 
     def _nanoseconds(self, t: float) -> int:
-        """Return the time since 1970 at which the dashboard had run for `t` seconds."""
+        """Return the time since 1970 at which the dashboard had run for `t` seconds, in nanoseconds."""
         return round((self._wall + t) * 1e9)
 
     def run(self) -> None:
@@ -139,7 +144,7 @@ class Dashboard:
             self.tick()
 
     def close(self) -> None:
-        """End `run`, and tell the pages."""
+        """End `run` and notify the pages."""
         self._over.set()
         self.hub.end("the dashboard's command has ended: nothing on this page is up to date")
         if self._stream is not None:
@@ -147,8 +152,9 @@ class Dashboard:
 
 
 class FleetServer(Server):
-    """Serves a dashboard. `token`: what a browser must send, empty for none; `tls`: None for plain HTTP. Raises
-    OSError."""
+    """HTTP server of a dashboard.
+
+    `token`: required from a browser; "" for none. `tls`: None for plain HTTP. Raises OSError."""
 
     def __init__(
         self, host: str, port: int, dashboard: Dashboard, stop: Stop | None, token: str, tls: ssl.SSLContext | None
@@ -161,15 +167,15 @@ class FleetServer(Server):
         self.names |= {f"{name}:{self.server_address[1]}"}
         scheme = "https" if tls else "http"
         self.url = f"{scheme}://{name}:{self.server_address[1]}/"
-        self.guard = None if stop is None else Guard(None if token else self.names, scheme)
+        self.guard = None if stop is None else ControlGuard(None if token else self.names, scheme)
 
     def server_bind(self) -> None:
-        """Bind without looking up the host's name, which may take seconds."""
+        """Bind without a name lookup of the host, which may take seconds."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def get_request(self) -> tuple[Any, Any]:
-        """Accept a connection; the thread that serves it shakes hands."""
+        """Accept a connection. The TLS handshake is left to its own thread."""
         connection, address = super().get_request()
         if self._tls is not None:
             connection = self._tls.wrap_socket(connection, server_side=True, do_handshake_on_connect=False)
@@ -177,7 +183,7 @@ class FleetServer(Server):
 
     @property
     def page(self) -> bytes:
-        """The page, of the fleet as it is now."""
+        """The page of the present fleet."""
         header = self.hub.header
         title = f"{header.app or 'fleet'}, dashboard"
         before = HEAD.format(title=escape(title), stop=STOP if self.stop is not None else "")
@@ -188,25 +194,26 @@ class FleetServer(Server):
 
 
 class FleetHandler(Handler):
-    """Asks for the token where there is one, and takes the order to stop."""
+    """Request handler that requires the token, if there is one, and accepts the emergency stop."""
 
     server: FleetServer
 
     def admitted(self) -> bool:
-        """Return whether the request may be answered: its browser has sent the token or, where there is none, it is
-        addressed to this computer (see Server)."""
+        """Return whether the request may be answered.
+
+        With a token: its browser has a cookie. Without: it is addressed to this computer (see Server)."""
         if not self.server.token:
             return super().admitted()
         if any(hmac.compare_digest(self._cookie().encode(), known.encode()) for known in self.server.cookies):
             return True
         if self.command == "GET" and self.path == "/":
-            self._ask("The token stands in the file that the option --token names.")
+            self._ask("The token is in the file that the option --token names.")
         else:
             self.send_error(403, "The token is needed first")
         return False
 
     def do_POST(self) -> None:
-        """Take the token, or stop the fleet."""
+        """Accept the token, or stop the fleet."""
         if self.path == "/login" and self.server.token:
             self._login()
         elif not self.admitted() or (command := self.ordered()) is None:
@@ -248,7 +255,7 @@ class FleetHandler(Handler):
         self.wfile.write(body)
 
     def _cookie(self) -> str:
-        """The browser's cookie; empty where there is none."""
+        """Return the browser's cookie; "" if there is none."""
         try:
             found = SimpleCookie(self.headers.get("Cookie", "")).get(COOKIE)
         except CookieError:

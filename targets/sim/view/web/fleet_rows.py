@@ -1,9 +1,8 @@
-"""Rows of a fleet at work, made of the reports that its agents give to the dashboard again and again.
+"""Rows of a real fleet for the dashboard, built from the agents' periodic reports.
 
-Reports overlap: log lines have numbers and rounds too, so what an earlier report has told is not told again. Times are
-seconds since the dashboard began. A report is untyped JSON of another computer, perhaps of another release: it is
-converted first, and what does not fit is refused with a reason.
-"""
+Reports overlap: log lines and rounds are numbered, so rows are built only once. Times are seconds since the dashboard's
+start. A report is untyped JSON of another computer, perhaps of another release: it is converted first, and refused with
+a reason if it does not fit."""
 
 from __future__ import annotations
 
@@ -20,14 +19,14 @@ from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, Peer
 from targets.sim.base.bodies import Vector
 from targets.sim.view.data.rows import Chunk, Rows
 
-FRESH = 1.0  # seconds: a robot whose last report is older is silent
-LINKS_EVERY = 2.0  # seconds from one row of a robot's links to the next
-Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]  # a double holds it, as JavaScript must
+FRESH = 1.0  # seconds: a robot whose last report is older counts as silent
+LINKS_EVERY = 2.0  # seconds between two rows of a robot's links
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]  # exact in a double, as JavaScript needs
 Lines = tuple[tuple[Count, float, Count, str, str], ...]
 Outcomes = tuple[tuple[Count, Count, Literal["event", "skipped", "fault"], str, tuple[float, ...]], ...]
 
 
-class Place(msgspec.Struct, frozen=True):
+class ReportedPose(msgspec.Struct, frozen=True):
     """Pose of a robot: metres, local ENU; yaw in radians; the age of both in seconds."""
 
     position: Vector
@@ -35,8 +34,8 @@ class Place(msgspec.Struct, frozen=True):
     age: float = 0.0
 
 
-class Violated(msgspec.Struct, frozen=True):
-    """A property that is violated, as far as the robot can tell."""
+class ReportedViolation(msgspec.Struct, frozen=True):
+    """A property that the robot's monitor reports as violated."""
 
     of: str = ""
     name: str = ""
@@ -48,9 +47,9 @@ class Violated(msgspec.Struct, frozen=True):
         return f"{self.of} {self.name}".strip()
 
 
-class Monitored(msgspec.Struct, frozen=True):
+class MonitorReport(msgspec.Struct, frozen=True):
     counts: dict[str, int] = {}
-    violated: tuple[Violated, ...] = ()
+    violated: tuple[ReportedViolation, ...] = ()
 
 
 class Computer(msgspec.Struct, frozen=True):
@@ -62,7 +61,9 @@ class Computer(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """An agent's report (koordgen/runtime/agent/process.py); older agents lack fields that have a default here."""
+    """Report of an agent (koordgen/runtime/agent/process.py).
+
+    Older agents lack fields that have a default here."""
 
     phase: str
     round: Count
@@ -71,14 +72,14 @@ class Report(msgspec.Struct, frozen=True):
     boot: str = ""
     delta: float = 0.0
     geofence: tuple[Vector, Vector] | None = None
-    pose: Place | None = None
+    pose: ReportedPose | None = None
     battery: float | None = None
     goal: tuple[Vector, ...] = ()
     lines: Lines = ()
     outcomes: Outcomes = ()
     decided: float = 0.0
     shared: tuple[tuple[str, Literal["allread", "allwrite"], Count, Any], ...] = ()
-    monitors: Monitored = Monitored()
+    monitors: MonitorReport = MonitorReport()
     host: Computer = Computer()
     rounds: Count = 0
     current: Count = 0
@@ -88,13 +89,13 @@ class Report(msgspec.Struct, frozen=True):
 
     @property
     def loss(self) -> float | None:
-        """The share of datagrams that are lost on the worst link."""
+        """Share of datagrams lost on the worst link."""
         losses = [peer.get("loss") for peer in self.peers.values()]
         return max((loss for loss in losses if isinstance(loss, (int, float))), default=None)
 
 
 def read_report(plain: Any) -> Report | str:
-    """Return a report, or why it is none. A report holds nothing that JSON cannot: no lone surrogate, no NaN."""
+    """Return a report, or the reason why it is invalid. NaN and lone surrogates are invalid, as in JSON."""
     try:
         return msgspec.json.decode(msgspec.json.encode(plain), type=Report)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
@@ -102,7 +103,7 @@ def read_report(plain: Any) -> Report | str:
 
 
 def completed(header: Header, report: Report) -> Header:
-    """Return the header with what a report knows and the header lacks; the same one where it lacks nothing."""
+    """Return the header completed by a report; the same object if nothing was missing."""
     known = {variable.name for variable in header.shared}
     more = tuple(Shared(name, kind, "") for name, kind, *_ in report.shared if name not in known)
     changes: dict[str, Any] = {"shared": (*header.shared, *more)} if more else {}
@@ -116,41 +117,41 @@ def completed(header: Header, report: Report) -> Header:
 
 
 @dataclass
-class _Known:
-    """A robot as its reports have told so far."""
+class _RobotData:
+    """State of a robot, from its reports so far."""
 
     report: Report | None = None
-    at: float | None = None  # when the last report came
+    at: float | None = None  # time of the last report
     questions: int = 0
     answers: int = 0
-    note: str = ""  # why there was no answer last time, or what is odd about it
+    note: str = ""  # why the last answer is missing, or a remark on it
     silent: bool = True
     line: int = 0  # number of the last log line
-    round: int = 0  # last round whose outcome is known
+    round: int = 0  # last round whose result is known
     phase: str = ""
     goal: tuple[Vector, ...] = ()
     posed: float = -math.inf  # time of the last pose
-    linked: float = -math.inf  # ... of the last row of links
-    written: dict[str, int] = field(default_factory=dict)  # round of the last write, by variable
+    linked: float = -math.inf  # time of the last row of links
+    written: dict[str, int] = field(default_factory=dict)  # variable -> round of the last write
     violated: frozenset[str] = frozenset()
 
     def restart(self) -> None:
-        """Another process of this robot reports: it counts from the beginning."""
+        """Reset the counters: another process of this robot reports."""
         self.line = self.round = 0
         self.written = {}
 
 
 class FleetRows:
-    """Merges reports into rows. Not for several threads at once."""
+    """Converter of reports to rows. Not thread-safe."""
 
     def __init__(self, header: Header) -> None:
         self.header = header
         self._rows = Rows(header)
         self._more: Chunk = {}
-        self._robots = [_Known() for _ in header.robots]
+        self._robots = [_RobotData() for _ in header.robots]
 
     def renew(self, header: Header) -> None:
-        """Continue with a more complete header; each robot's last report is sent again."""
+        """Continue with a more complete header; each robot's last report is converted again."""
         before = self._robots
         self.__init__(header)  # type: ignore[misc]
         for pid, (known, old) in enumerate(zip(self._robots, before, strict=True)):
@@ -159,10 +160,10 @@ class FleetRows:
             known.questions, known.answers, known.silent, known.note = old.questions, old.answers, old.silent, old.note
 
     def take(self, pid: int, report: Report, note: str, t: float) -> None:
-        """Take a report that came at time `t`."""
+        """Add a report that arrived at time `t`."""
         known = self._robots[pid]
         if known.report is not None and known.report.boot != report.boot:
-            self._mark(t, "restart", "its agent has begun anew", pid)
+            self._mark(t, "restart", "its agent has restarted", pid)
             known.restart()
         if known.silent and known.at is not None:
             self._mark(t, "answers", "answers again", pid, f"was silent for {t - known.at:.1f} s")
@@ -185,7 +186,7 @@ class FleetRows:
         known.violated = violated
 
     def miss(self, pid: int, note: str, t: float) -> None:
-        """Note that a robot has not answered at time `t`."""
+        """Record that a robot did not answer at time `t`."""
         known = self._robots[pid]
         known.questions += 1
         known.note = note
@@ -194,9 +195,9 @@ class FleetRows:
             self._mark(t, "silent", "does not answer", pid, note)
 
     def taken(self, t: float) -> Chunk:
-        """Return the rows since the last time, by table; `t` is the present."""
+        """Return the rows since the last call, by table; `t` is the present time."""
         chunk, more, self._more = self._rows.taken(), self._more, {}
-        chunk.pop("near", None)  # it counts robots that are silent
+        chunk.pop("near", None)  # it includes silent robots
         for table, rows in more.items():
             chunk.setdefault(table, []).extend(rows)
         if chunk.get("poses") and (near := self._closest(t)) is not None:
@@ -204,10 +205,10 @@ class FleetRows:
         return chunk
 
     def table(self) -> list[dict[str, Any]]:
-        """Return the last that is known of each robot, by pid. `at`: when its report came; None: it never answered."""
+        """Return the latest data of each robot, by pid. `at`: arrival of its report; None: it never answered."""
         return [self._entry(known) for known in self._robots]
 
-    def _entry(self, known: _Known) -> dict[str, Any]:
+    def _entry(self, known: _RobotData) -> dict[str, Any]:
         entry: dict[str, Any] = {
             "at": known.at, "silent": known.silent, "note": known.note, "questions": known.questions,
             "answers": known.answers,
@@ -222,7 +223,7 @@ class FleetRows:
             "violated": [each.words for each in report.monitors.violated], "properties": report.monitors.counts,
         }  # fmt: skip
 
-    def _motion(self, pid: int, known: _Known, report: Report, t: float) -> None:
+    def _motion(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         if report.phase != known.phase:
             known.phase = report.phase
             self._rows.take(Phase(report.phase, pid=pid), t)
@@ -234,18 +235,18 @@ class FleetRows:
             known.goal = report.goal
             self._add("paths", [pid, round(t, 3), report.goal])
 
-    def _said(self, pid: int, known: _Known, report: Report, t: float) -> None:
+    def _said(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         for number, age, _, level, text in report.lines:
             if number <= known.line:
                 continue
             if known.line and number > known.line + 1:
-                lost = f"{number - known.line - 1} lines before this one came too fast to be shown here"
+                lost = f"{number - known.line - 1} lines before this one arrived too fast to be shown"
                 self._rows.take(Log("warning", lost, pid=pid), t - age)
             known.line = number
             self._rows.take(Log(level, text, pid=pid), t - age)
 
-    def _decided(self, pid: int, known: _Known, report: Report, t: float) -> None:
-        """Rounds, and the shared variables that their events wrote."""
+    def _decided(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
+        """Add rows of decided rounds and of the shared variables that they wrote."""
         runs = [(first, outcome, detail, late) for first, _, outcome, detail, late in report.outcomes]
         last = max((first + len(late) - 1 for first, _, _, late in runs), default=0)
         delta = report.delta or self.header.delta
@@ -268,7 +269,7 @@ class FleetRows:
                 self._add("shared", [name, pid, round(when(number) if number else t, 3), number, value])
 
     def _closest(self, t: float) -> list[Any] | None:
-        """The closest pair of those robots whose places are known now."""
+        """Return the closest pair of the robots whose positions are known now."""
         places = [
             (pid, known.report.pose.position)
             for pid, known in enumerate(self._robots)
@@ -285,13 +286,13 @@ class FleetRows:
         self._more.setdefault(table, []).append(row)
 
 
-# Rows of a series that a page gets when it is opened: a robot's of a table, a writer's of a shared variable.
+# Rows per series that a page receives when opened: per robot, or per writer of a shared variable.
 MOST = {"poses": 1200, "rounds": 2000, "late": 300, "links": 150, "logs": 200, "phases": 50, "paths": 100, "shared": 30}
 MOST_OF_ALL = {"marks": 300, "near": 1500, "markers": 300}
 ALL_POSES, ALL_ROUNDS = 40_000, 40_000
 
 
-class Latest:
+class LatestRows:
     """The latest rows of each series: a dashboard may be open for days."""
 
     def __init__(self, header: Header) -> None:
@@ -301,7 +302,7 @@ class Latest:
         self._kept: dict[str, dict[Any, deque[list[Any]]]] = {}
 
     def extend(self, chunk: Chunk) -> None:
-        """Take in rows, each table's in the order of their times."""
+        """Add rows, each table's in order of time."""
         for table, rows in chunk.items():
             series = self._kept.setdefault(table, {})
             for row in rows:
@@ -311,7 +312,7 @@ class Latest:
                 series[key].append(row)
 
     def whole(self) -> Chunk:
-        """All rows that are kept, by table."""
+        """Return all kept rows, by table."""
         return {table: list(self._all(series)) for table, series in self._kept.items()}
 
     def _all(self, series: dict[Any, deque[list[Any]]]) -> Iterator[list[Any]]:

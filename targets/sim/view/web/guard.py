@@ -1,10 +1,9 @@
-"""Guard of a page's control channel: which POST requests are commands of the page that this computer's browser shows.
+"""Guard of a page's control channel: accepts commands only from the page itself.
 
-A command changes what a run does. So a request must name this server as its host (DNS rebinding), come from no other
-site (`Origin`), be of a kind that a browser sends to its own site only (a header of ours, and JSON), and have the
-token. The token stands in the page and nowhere else. Every program of this computer can load the page: do not serve it
-on a computer whose other users you do not trust.
-"""
+A command changes a run. So a request must name this server as its host (against DNS rebinding), come from no other site
+(`Origin`), be of a kind that a browser sends only to its own site (a custom header, and JSON), and have the token. The
+token is in the page and nowhere else. Every program of this computer can load the page: do not serve it on a computer
+with untrusted users."""
 
 from __future__ import annotations
 
@@ -21,16 +20,18 @@ MOST_BYTES = 2048  # of a command
 Refusal = tuple[int, str]  # HTTP status and reason
 
 
-class Guard:
-    """Checks requests to PATH. `names` are the hosts, with port, by which this server may be called; None: by any, as a
-    browser has shown already that it may (by a cookie of this server)."""
+class ControlGuard:
+    """Check of requests to PATH.
+
+    `names`: hosts with port by which this server may be called; None: any, because a cookie of this server has already
+    authenticated the browser."""
 
     def __init__(self, names: Collection[str] | None, scheme: str = "http") -> None:
         self.token = secrets.token_urlsafe(32)
         self._names, self._scheme = names, scheme
 
     def refusal(self, path: str, headers: Message) -> Refusal | None:
-        """Return why a request is refused by its path and headers; None: it may be read."""
+        """Return why a request is refused by its path and headers; None if its body may be read."""
         given, hosts = headers.get_all(HEADER) or [], headers.get_all("Host") or []
         names = hosts[:1] if self._names is None else self._names
         if hosts not in [[name] for name in names]:
@@ -50,13 +51,13 @@ class Guard:
         return None
 
     def length(self, headers: Message) -> int:
-        """Return the length of the body in bytes; 0 if it is not said."""
+        """Return the length of the body in bytes; 0 if it is missing or invalid."""
         lengths = headers.get_all("Content-Length") or []
         sound = len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) < 10
         return int(lengths[0]) if sound else 0
 
     def command(self, body: bytes) -> dict[str, Any] | None:
-        """Return the JSON object that a body is; None if it is none."""
+        """Return the body's JSON object; None if it is not one."""
         try:
             found = json.loads(body)
         except (ValueError, RecursionError):

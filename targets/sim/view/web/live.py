@@ -1,8 +1,7 @@
-"""`--live`: what happens in a run goes to the live view's process (serve.py) while it happens.
+"""`--live`: sends records of a run to the live view's process (serve.py) during the run.
 
-The run never waits for it: what the process does not take in time is dropped, it alone meets browsers, and its end is
-not the run's. Nothing of it gets into the trace.
-"""
+The run never waits for that process: data that it does not read in time is dropped, it alone talks to browsers, and its
+end does not end the run. It adds nothing to the trace."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import Header, TraceRecord
 from targets.sim.base.bodies import BodyState
-from targets.sim.run.crew import Agent
+from targets.sim.run.run_interface import AgentHandle
 from targets.sim.view.data.feed import Feed
 from targets.sim.view.data.rows import Rows
 
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from targets.sim.run.run import Run
 
 SEND_EVERY = 0.1  # seconds of this host
-MOST_PENDING = 4 << 20  # bytes that the process has not taken yet
+MOST_PENDING = 4 << 20  # bytes that the process has not read yet
 START_WITHIN = 20.0  # seconds
 ROOT = Path(__file__).parents[4]
 PIPE_SIZE = 1 << 20
@@ -39,7 +38,9 @@ SERVE = (sys.executable, "-m", "targets.sim.view.web.serve")
 
 @contextmanager
 def watched(header: Header, port: int | None, offer: dict[str, Any] | None = None) -> Iterator[Live | None]:
-    """The live view while a run goes on, None without a port; its address goes to standard error. Raises OSError."""
+    """Context manager of the live view during a run; yields None without a port.
+
+    Prints its address to standard error. Raises OSError."""
     if port is None:
         yield None
         return
@@ -52,17 +53,19 @@ def watched(header: Header, port: int | None, offer: dict[str, Any] | None = Non
 
 
 class Live(Feed):
-    """A run's companion. `url` is where the page is; `offer` is what its controls offer, None: there are none. Raises
-    OSError when it is made, nothing later."""
+    """Companion that feeds the live view.
+
+    `url` is the page's address. `offer` is what its controls offer; None for no controls. Raises OSError in the
+    constructor only."""
 
     def __init__(self, header: Header, port: int, offer: dict[str, Any] | None = None) -> None:
         super().__init__(header)
         self._rows = Rows(header)
         self._pending = bytearray()
         self._next = 0.0
-        self.gone = False  # the process, or its end of the pipe
+        self.gone = False  # the process has ended or closed the pipe
         self._rest = b""
-        # Its own group: Ctrl-C on the terminal ends the run, and that ends the view.
+        # In a session of its own: Ctrl-C on the terminal ends the run, and the run ends the view.
         self._process = subprocess.Popen(
             [*SERVE, str(port)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0,
@@ -84,7 +87,7 @@ class Live(Feed):
         output = self._process.stdout
         assert output is not None
         line = output.readline() if select.select([output], [], [], START_WITHIN)[0] else b""
-        said: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"error": "it did not begin"}
+        said: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"error": "it did not start"}
         if "port" not in said:
             self._end()
             way = "name another port, or none for any that is free"
@@ -94,12 +97,12 @@ class Live(Feed):
     def _take(self, record: TraceRecord, t: float) -> None:
         self._rows.take(record, t)
 
-    def _anew(self) -> None:
+    def _reset(self) -> None:
         self._rows = Rows(self._header)
         self._put({"begin": True})
 
     def commands(self, wait: float = 0.0) -> list[dict[str, Any]]:
-        """Return the commands that came from the page, at the latest after `wait` seconds. `gone`: none will come."""
+        """Return the commands from the page, waiting at most `wait` seconds. `gone`: no more will come."""
         if self.gone or not select.select([self._commands], [], [], wait)[0]:
             return []
         data = os.read(self._commands, 1 << 16)
@@ -108,12 +111,14 @@ class Live(Feed):
         return [json.loads(line) for line in lines]
 
     def report(self, state: dict[str, Any]) -> None:
-        """Tell the page the state of its controls, at once."""
+        """Send the state of the controls to the page at once."""
         self._put({"control": state})
         self._write()
 
     def close(self, words: str) -> None:
-        """The run is over; `words` say how, and where its report is. Returns within some seconds. Idempotent."""
+        """End the view with a final text, such as the path of the report.
+
+        Takes at most some seconds. Idempotent."""
         if self._process.poll() is None:
             self._put({"over": words})
             deadline = time.monotonic() + 2.0
@@ -139,7 +144,7 @@ class Live(Feed):
         self._pending += msgspec.json.encode(what) + b"\n"
 
     def _write(self) -> None:
-        """As much as the process takes at once; nothing more when it is gone."""
+        """Write as much as the process accepts at once; drop all if it is gone."""
         try:
             del self._pending[: os.write(self._pipe, self._pending)]
         except BlockingIOError:
@@ -160,9 +165,10 @@ class Live(Feed):
             process.wait()
 
 
-class Paced:
-    """A companion of a run in lockstep that lets it go no faster than `factor` times real time, so that one can
-    watch; None: as fast as it goes. `waited` is whether it ever held the run up."""
+class PaceLimit:
+    """Companion that limits a lockstep run to `factor` times real time; None for no limit.
+
+    `waited` is true if it has ever delayed the run."""
 
     def __init__(self, factor: float | None) -> None:
         self.factor = factor
@@ -180,14 +186,14 @@ class Paced:
             time.sleep(ahead)
 
     def go(self, factor: float | None, at: float) -> None:
-        """From now on go as fast as that."""
+        """Change the limit."""
         self.factor = factor
         self._restart(at)
 
     def _restart(self, at: float) -> None:
         self._host, self._clock = time.monotonic(), at
 
-    def heard(self, agent: Agent, records: list[TraceRecord]) -> None:
+    def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         pass
 
     def end(self, at: float) -> None:

@@ -1,5 +1,8 @@
-"""The page that shows a run: the report, which holds all it needs, and the live view, which is sent more. Both run the
-same scripts, `page/*.js`; whatever a trace says gets into them as JSON, and there only ever becomes text."""
+"""Page that shows a run.
+
+The report, which is self-contained, and the live view, which receives events.
+
+Both run the same scripts, `page/*.js`. Contents of a trace enter them as JSON and are only ever shown as text."""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ CONTROLS_SCRIPT = "controls.js"
 SCRIPTS = ("model.js", "draw.js", "views.js", "space.js", "timeline.js", "main.js")
 VENDOR = FOLDER / "vendor"
 
-# Of a live run that takes commands: controls.js fills and wires it.
+# Controls of a live run; controls.js fills in and connects them.
 CONTROLS = """
 <section id="controls" aria-label="controls of the run">
 <div><b>Run</b> <button id="run-pause">pause</button> <button id="run-step">step one round</button>
@@ -137,10 +140,11 @@ def page(
     title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False,
     control: dict[str, Any] | None = None, more: tuple[str, ...] = (), facts: dict[str, Any] | None = None,
 ) -> str:  # fmt: skip
-    """The whole page; `before` and `after` are HTML that stands around the pictures. It asks for nothing from anywhere,
-    but a live one for the events of the server that gave it. `control`: what the controls of a live run offer
-    (`lockstep`, `faults`), and the `token` of their commands; None: there are no controls. `more` names further scripts
-    of the page's folder, `facts` what they are given."""
+    """Return the whole page; `before` and `after` are HTML around the pictures.
+
+    The page requests nothing from anywhere; a live one only the events of its own server. `control`: what the controls
+    of a live run offer (`lockstep`, `faults`) and the `token` of their commands; None for no controls. `more`: further
+    scripts of the page's folder; `facts`: data for them."""
     files = (*SCRIPTS, *((CONTROLS_SCRIPT,) if control is not None else ()), *more)
     script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in files)
     digest, (packed, three) = _digest(script.encode()), _three()
@@ -163,8 +167,9 @@ def page(
 
 @cache
 def _three() -> tuple[str, str]:
-    """Three.js as base64 of gzip, a third of its size, and the policy's source expression that lets the page run it.
-    The page unpacks it only when somebody looks at the map in three dimensions."""
+    """Return Three.js as base64 of gzip (a third of its size), and its hash for the page's policy.
+
+    The page unpacks it only for the three-dimensional view."""
     code = (VENDOR / "three.min.js").read_bytes()
     return b64encode(gzip.compress(code, mtime=0)).decode(), _digest(code)
 
@@ -174,5 +179,5 @@ def _digest(script: bytes) -> str:
 
 
 def _json(value: Any) -> str:
-    """JSON that cannot end the element it stands in, whatever its strings are."""
+    """Return JSON that cannot end its HTML element, whatever its strings are."""
     return msgspec.json.encode(value).decode().replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that shows all of it, without a network or other files."""
+"""Report of a run: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from targets.sim.judging.summary import (
     warned,
 )
 from targets.sim.run.run import Outcome
-from targets.sim.run.stage import Closest
+from targets.sim.run.scene import Closest
 from targets.sim.trace.files import read
-from targets.sim.trace.noticed import Notable, said
+from targets.sim.trace.monitor_reports import DisplayFilter, said
 from targets.sim.view.data.history import gathered
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.web.page import page
 
-MOST_LINES = 200  # of events and log lines
-MOST_VIOLATIONS, MOST_WARNINGS = 20, 100  # above the pictures
-FEW = 5  # lines of a list that is not folded
+MOST_LINES = 200  # events and log lines shown
+MOST_VIOLATIONS, MOST_WARNINGS = 20, 100  # shown above the pictures
+FEW = 5  # longest list that is shown unfolded
 GREEN, RED, AMBER = "#1B7F4B", "#B00020", "#8A5A00"
 COLOURS = {"held": GREEN, "violated": RED, "host overloaded": AMBER, "interrupted": AMBER, "not started": RED}
 CLASSES = {"held": "good", "violated": "bad", "no value": "bad", "unchecked": "warn", "out of model": "warn"}
@@ -42,12 +42,14 @@ BAD = {"error", "fault", "separation", "collision", "ended", "unrest", "property
 
 
 def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[float, str, str, str]]:
-    """What the report tells of the trace: t, robot, kind and text of all violations, and the first MOST_LINES of
-    changed phases, warnings, errors, violations that robots saw themselves and each robot's different faults."""
+    """Return the trace's main records as (t, robot, kind, text).
+
+    All violations, and the first MOST_LINES of changed phases, warnings, errors, violations reported by monitors, and
+    each robot's distinct faults."""
     names = {robot.pid: robot.name for robot in header.robots}
     seen: set[tuple[int, str]] = set()
     phases: dict[int, str] = {}
-    notable = Notable()
+    notable = DisplayFilter()
     found: list[tuple[float, str, str, str]] = []
     violations = 0
     for record in records:
@@ -75,8 +77,9 @@ def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[floa
 
 
 def write(path: Path, trace: Path) -> None:
-    """The report of a merged trace. What the run's own `summary.json` beside it says more is in it, too. Raises
-    BadTrace, OSError."""
+    """Write the report of a merged trace, with data of the run's `summary.json` beside it.
+
+    Raises BadTrace, OSError."""
     header, records = read(trace)
     rows = gathered(header, records)
     summary = _summary(trace, header, rows)
@@ -84,7 +87,7 @@ def write(path: Path, trace: Path) -> None:
 
 
 def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float, str, str, str]]) -> str:
-    """The whole page."""
+    """Return the whole page."""
     title = f"{summary.app}, simulated"
     before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}\n{_warnings(summary.robots)}"
     after = [
@@ -95,12 +98,12 @@ def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float,
         _lines(lines),
     ]
     if summary.reproduce:
-        after += ["<h2>To do it again</h2>", _pairs(summary.reproduce)]
+        after += ["<h2>Reproduce this run</h2>", _pairs(summary.reproduce)]
     return page(f"{title}: {headline(summary)}", header, rows, before, "\n".join(after))
 
 
 def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
-    """The run's own, if it is there and of this very trace; else what the trace alone tells."""
+    """Return the run's own summary if it fits this trace, otherwise one computed from the trace."""
     try:
         found = msgspec.json.decode((trace.parent / "summary.json").read_bytes(), type=Summary)
         if (found.app, found.program_hash, found.seed) == (header.app, header.program_hash, header.seed):
@@ -128,14 +131,14 @@ def _verdict(summary: Summary) -> str:
 
 
 def _properties(found: Sequence[Verdict]) -> str:
-    """How each property came out; a long list is folded."""
+    """Return the verdicts of properties as HTML; a long list is folded."""
     counts = Counter(each.outcome for each in found)
     head = "properties: " + ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
     return _folded(head, [(found_text(each), CLASSES[each.outcome]) for each in found]) if found else ""
 
 
 def _warnings(robots: list[RobotSummary]) -> str:
-    """The warnings of robots, and their times without a way."""
+    """Return the warnings and stalls of robots as HTML."""
     found = sorted(
         [(each.since, warned(robot.name, each)) for robot in robots for each in robot.warnings]
         + [(each.since, stalled(robot.name, each)) for robot in robots for each in robot.stalls]
@@ -148,7 +151,7 @@ def _warnings(robots: list[RobotSummary]) -> str:
 
 
 def _folded(head: str, lines: Sequence[tuple[str, str]]) -> str:
-    """Lines, each with its class, below a heading; open when they are few."""
+    """Return lines, each with its CSS class, below a heading; unfolded if there are few."""
     rows = "".join(f'<li class="{kind}">{escape(text)}</li>' for text, kind in lines)
     return f"<details{' open' if len(lines) <= FEW else ''}><summary>{escape(head)}</summary><ul>{rows}</ul></details>"
 

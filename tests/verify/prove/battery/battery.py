@@ -1,4 +1,4 @@
-"""Small programs whose invariants are known to be provable, or not to be: a wrong generator tells otherwise."""
+"""Small programs with invariants that are known to be provable or not. A wrong generator decides differently."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What robots do and what is done to them: rounds, events, init, actuators, the environment."""
+"""Programs about steps: rounds, events, init, actuators, the environment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What programs reckon with: indices, loops, lists, maps, sums, numbers."""
+"""Programs about values: indices, loops, lists, maps, sums, numbers."""
 
 from __future__ import annotations
 

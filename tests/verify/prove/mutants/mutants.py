@@ -1,5 +1,5 @@
-"""Catches mutants of the prover: each breaks one rule of docs/reference/semantics.md, "Verification conditions", in one
-line.
+"""Runner of mutants of the prover: each breaks one rule of docs/reference/semantics.md, "Verification conditions", in
+one line.
 
 With an unsound mutant something is PROVED that is false: the attack, an exploration or random runs must contradict it.
 Any other mutant must change the known verdict of a small program. `python -m tests.verify.prove.mutants.mutants` prints
@@ -22,7 +22,7 @@ from unittest.mock import patch
 
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.explore.environment import Lacking
+from koordgen.verify.explore.environment import MissingEnvironment
 from koordgen.verify.prove.report import verdict
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import Limits, Solver
@@ -30,9 +30,9 @@ from koordgen.verify.replay.functions import CannotCall
 from tests.verify.attack.faults import ticks
 from tests.verify.prove.mutants.catalogue import MUTANTS, Mutant
 from tests.verify.prove.mutants.programs import PROGRAMS, VERDICTS
+from tests.verify.prove.proving import checked, proved_names
 from tests.verify.prove.randomly.judges import Effort, Overtime, _within, explored, ran
 from tests.verify.prove.randomly.programs import program as random_program
-from tests.verify.prove.told import checked, told
 
 SECONDS = 120.0  # in which each mutant is caught
 EFFORT = Effort()
@@ -91,7 +91,7 @@ def contradicted(program: Program, solver: Solver, seed: int, judges: Iterable[s
             continue
         try:
             found = JUDGES[judge](program, names, seed, EFFORT)
-        except (CannotCall, Lacking):
+        except (CannotCall, MissingEnvironment):
             continue
         if found is not None:
             return judge, found.invariant
@@ -108,7 +108,7 @@ def fixed(mutant: Mutant, solver: Solver, names: Iterable[str]) -> Caught | None
                 return Caught(found[0], name, found[1], time.monotonic() - began)
         elif name in VERDICTS:
             text, wanted = VERDICTS[name]
-            wrong = told(checked(text), solver) ^ wanted
+            wrong = proved_names(checked(text), solver) ^ wanted
             if wrong:
                 return Caught("battery", name, min(wrong), time.monotonic() - began)
     return None
@@ -150,9 +150,9 @@ def table(solver: Solver, seconds: float, by_random: bool, out: TextIO) -> int:
         else:
             found = caught(mutant, solver, seconds)
         wrong += found is None
-        told = f"{found.judge}: {found.program} ({found.seconds:.1f} s)" if found else f"NOT in {seconds:g} s"
+        proved_names = f"{found.judge}: {found.program} ({found.seconds:.1f} s)" if found else f"NOT in {seconds:g} s"
         kind = "unsound" if mutant.unsound else "weaker"
-        print(f"{mutant.rule:6} {kind:7} {name:76} {told}", file=out, flush=True)
+        print(f"{mutant.rule:6} {kind:7} {name:76} {proved_names}", file=out, flush=True)
     return wrong
 
 

@@ -1,4 +1,4 @@
-"""Programs that show mutants of the prover wrong. Each is small: an everyday test runs some of them."""
+"""Programs that reveal mutants of the prover. Each is small: an everyday test runs some of them."""
 
 from __future__ import annotations
 

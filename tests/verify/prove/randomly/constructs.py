@@ -1,4 +1,4 @@
-"""Which constructs of the language a text has, for tables of coverage."""
+"""Language constructs in a text, for tables of coverage."""
 
 from __future__ import annotations
 

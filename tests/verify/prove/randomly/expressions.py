@@ -1,4 +1,4 @@
-"""Expressions as people write them: short ones, of variables in sight, now and then one that may have no value."""
+"""Random expressions as people write them: short, over visible variables, sometimes without a value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Judges of the prover: what it says PROVED of is held against an exploration, random runs and the attack.
+"""Judges of the prover: PROVED invariants are checked by exploration, random runs and the attack.
 
 The exploration is `koordgen explore`'s, on the code that robots run, for 1, 2 and 3 robots. The random runs are made by
 the executable semantics, in random orders. Both take sensor values from small pools, as far as the program's
@@ -28,12 +28,19 @@ from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.runtime.values.points import Point
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.explore.environment import STRAIGHT, Domain, Environment, Lacking, Surroundings, answering
-from koordgen.verify.explore.machine import Discard, Machine, Own
-from koordgen.verify.explore.search import Bounds, Search
+from koordgen.verify.explore.environment import (
+    STRAIGHT,
+    Environment,
+    EnvironmentSteps,
+    MissingEnvironment,
+    SensorDomain,
+    possible_answers,
+)
+from koordgen.verify.explore.machine import DiscardedEvent, Machine, PrivateState
+from koordgen.verify.explore.search import ExplorationBounds, Search
 from koordgen.verify.prove.report import explain, reach
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, Question, prove
-from koordgen.verify.prove.smt.solve import Both, Solver
+from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
 FLEETS = (1, 2, 3)
 LIMITS = ("would become", "would get", "not finished", " failed: ")  # of these `(well-defined)` says nothing
@@ -92,7 +99,7 @@ class Judged(NamedTuple):
 Judge = Callable[[decl.Program, frozenset[str], int, Effort], "Contradiction | None"]
 
 
-def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort) -> Judged:
+def judged(program: decl.Program, solver: Solver | CrossCheck, seed: int, effort: Effort) -> Judged:
     """Return the verdicts on a program, and the contradictions that the judges found."""
     verdicts: dict[str, str] = {}
     found: list[Contradiction] = []
@@ -108,7 +115,7 @@ def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effo
             with _timed(seconds, name):
                 try:
                     found += filter(None, [judge(program, proved, seed, effort)])
-                except Lacking as error:
+                except MissingEnvironment as error:
                     skipped.append(f"{name}: {error}")
     except Overtime:
         solver.__exit__()  # it may be in the midst of an answer
@@ -148,19 +155,19 @@ def _within(seconds: float) -> Iterator[None]:
 @contextmanager
 def _brief(effort: Effort) -> Iterator[None]:
     """Failed proofs are explained in less time than people would give them."""
-    bounds = reach.Bounds(seconds=effort.explaining)
+    bounds = reach.SearchBounds(seconds=effort.explaining)
     with ExitStack() as stack:
-        stack.enter_context(patch.object(explain, "Bounds", lambda: bounds))
-        stack.enter_context(patch.object(explain, "SECONDS", effort.explaining))
-        stack.enter_context(patch.object(explain, "PATIENCE", 10 * effort.explaining))
-        stack.enter_context(patch.object(explain, "MOST", 10 * effort.explaining))
+        stack.enter_context(patch.object(explain, "SearchBounds", lambda: bounds))
+        stack.enter_context(patch.object(explain, "STRENGTHENING_SECONDS", effort.explaining))
+        stack.enter_context(patch.object(explain, "SEARCH_SECONDS", 10 * effort.explaining))
+        stack.enter_context(patch.object(explain, "QUERY_SECONDS", 10 * effort.explaining))
         yield
 
 
 # The environment
 
 
-class Nearby(Surroundings):
+class Nearby(EnvironmentSteps):
     """A few moves of each robot's sensors, of those that the assumptions allow: also to where it was sent."""
 
     def __init__(self, machine: Machine, environment: Environment, seed: int) -> None:
@@ -172,7 +179,7 @@ class Nearby(Surroundings):
         each = list(product(*[self._few(self._first(domains)) for domains in self.domains]))
         return iter(self._few(each, 4))
 
-    def _first(self, domains: Mapping[str, Domain]) -> list[dict[str, Any]]:
+    def _first(self, domains: Mapping[str, SensorDomain]) -> list[dict[str, Any]]:
         """What one robot's sensors say when a mission begins. It stands anywhere, whether the program asks where or
         not, and an unset target is where it stands."""
         found = self._starts(domains)
@@ -190,7 +197,7 @@ class Nearby(Surroundings):
             self._moves[pid, own] = found
         return found
 
-    def _options(self, pid: int, robot: Own) -> list[dict[str, Any]]:
+    def _options(self, pid: int, robot: PrivateState) -> list[dict[str, Any]]:
         pools = []
         for name in self.machine.sensors:
             sent = [
@@ -209,7 +216,7 @@ def surroundings(program: decl.Program) -> Environment:
     """A few values for each sensor, and answers of planners."""
     ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
     names = {name for name, _ in ports}
-    domains = {name: Domain(POOLS[p.type]) for name, p in ports if p.direction == "sensor"}
+    domains = {name: SensorDomain(POOLS[p.type]) for name, p in ports if p.direction == "sensor"}
     answers = {
         name: (*WAYS, STRAIGHT) if f"{name.partition('.')[0]}.position" in names else WAYS
         for name, p in ports
@@ -227,7 +234,7 @@ def unplaced(program: decl.Program) -> list[str]:
 # Exploration
 
 
-class _Told(list[Discard]):
+class _Told(list[DiscardedEvent]):
     """The events without a result of which `(well-defined)` speaks, and false loop invariants, by their line; both only
     where they are PROVED."""
 
@@ -235,7 +242,7 @@ class _Told(list[Discard]):
         super().__init__()
         self.proved = proved
 
-    def append(self, found: Discard) -> None:
+    def append(self, found: DiscardedEvent) -> None:
         name = f"line {found.line}" if found.reason.startswith("the loop invariant") else WELL_DEFINED
         if name in self.proved and not _limit(found.reason):
             super().append(found)
@@ -246,24 +253,26 @@ def _limit(reason: str) -> bool:
 
 
 def explored(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort) -> Contradiction | None:
-    """The first violation of what is PROVED, of 1, 2 or 3 robots. Raises Lacking."""
+    """The first violation of what is PROVED, of 1, 2 or 3 robots. Raises MissingEnvironment."""
     claimed = replace(
         program, properties=tuple([p for p in program.properties if p.kind == "initially" or p.name in proved])
     )
     around = surroundings(program)
     for n_sys in FLEETS:
-        machine = Machine(claimed, n_sys, answering(around, claimed, n_sys))
+        machine = Machine(claimed, n_sys, possible_answers(around, claimed, n_sys))
         machine.discards = _Told(proved)
-        bounds = Bounds(effort.rounds, effort.states, effort.seconds)
+        bounds = ExplorationBounds(effort.rounds, effort.states, effort.seconds)
         search = Search(
             machine, Nearby(machine, around, seed), bounds, time.process_time, lambda _: None,
             deadlock=False, forgetting=False,
         )  # fmt: skip
         violation = search.run().violation
         if violation is not None:
-            moments = [f"round {m.round} {m.event or 'the beginning'} {m.pid}: {m.state}" for m in violation.moments]
+            run_states = [
+                f"round {m.round} {m.event or 'the beginning'} {m.pid}: {m.state}" for m in violation.run_states
+            ]
             told = violation.reason or f"false: {violation.failed}"
-            return Contradiction(violation.name, "exploration", n_sys, "\n".join([told, *moments]))
+            return Contradiction(violation.name, "exploration", n_sys, "\n".join([told, *run_states]))
     return None
 
 
@@ -281,12 +290,12 @@ class _Runs:
         self.program, self.proved, self.n_sys, self.random = program, proved, n_sys, random
         self.claimed = [p for p in program.properties if p.kind == "invariant" and p.name in proved]
         self.around = surroundings(program)
-        self.answer = answering(self.around, program, n_sys)
-        self.moments: list[str] = []
+        self.answer = possible_answers(self.around, program, n_sys)
+        self.run_states: list[str] = []
 
     def run(self, length: int) -> None:
-        """One run of so many rounds, or fewer where the environment cannot go on. Raises _Broken, Lacking."""
-        self.moments = []
+        """Run `length` rounds, or fewer if the environment cannot go on. Raises _Broken, MissingEnvironment."""
+        self.run_states = []
         state = self.begun()
         if state is None:
             return
@@ -350,7 +359,7 @@ class _Runs:
 
     def result(self, outcome: object, pid: int, event: str) -> None:
         if isinstance(outcome, Discarded) and WELL_DEFINED in self.proved and not _limit(outcome.reason):
-            self.moments.append(f"{event} of {pid} has no result: {outcome}")
+            self.run_states.append(f"{event} of {pid} has no result: {outcome}")
             raise _Broken(WELL_DEFINED)
 
     def kept(self, outcome: object) -> None:
@@ -360,7 +369,7 @@ class _Runs:
                 raise _Broken(f"line {span.line}")
 
     def look(self, state: State, moment: str) -> None:
-        self.moments.append(f"{moment}: {state}")
+        self.run_states.append(f"{moment}: {state}")
 
     def world(self, state: State) -> World:
         """One event's answers: equal questions get equal ones."""
@@ -430,7 +439,7 @@ class _Runs:
 
 
 def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort) -> Contradiction | None:
-    """The first violation of what is PROVED in some random runs. Raises Lacking."""
+    """The first violation of what is PROVED in some random runs. Raises MissingEnvironment."""
     random = Random(seed)
     for n_sys in FLEETS:
         runs = _Runs(program, proved, n_sys, random)
@@ -438,7 +447,7 @@ def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort
             try:
                 runs.run(effort.length)
             except _Broken as broken:
-                return Contradiction(str(broken), "run", n_sys, "\n".join(runs.moments))
+                return Contradiction(str(broken), "run", n_sys, "\n".join(runs.run_states))
     return None
 
 
@@ -446,7 +455,7 @@ def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort
 
 
 def attacked(
-    program: decl.Program, proved: frozenset[str], seed: int, effort: Effort, solver: Solver | Both | None = None
+    program: decl.Program, proved: frozenset[str], seed: int, effort: Effort, solver: Solver | CrossCheck | None = None
 ) -> Contradiction | None:
     """The contradiction that the attack of `koordgen prove` finds, with states from a solver where there is one."""
     found = attack(program, proved, solver=solver, seconds=effort.attacking, seed=seed).contradiction

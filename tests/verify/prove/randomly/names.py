@@ -1,4 +1,4 @@
-"""The variables of a random program: how each is read, what its writers keep to, and what may be claimed of it."""
+"""Variables of a random program: their reads, the bounds that writers respect, possible claims about them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole programs: what they declare, their functions, `init`, events and invariants."""
+"""Random whole programs: declarations, functions, `init`, events and invariants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes the text of a program small while something is still true of it, by lines and their blocks.
+"""Shrinker: makes the text of a program small while a condition stays true, by lines and their blocks.
 
 A line goes with the block below it, or a header goes and leaves its block, or an expression gives way to a part of it.
 """

@@ -1,4 +1,4 @@
-"""Statements as people write them: loops of every kind, searches, folds, changes of nested data, early ends."""
+"""Random statements as people write them: loops of every kind, searches, folds, nested data, early exits."""
 
 from __future__ import annotations
 

@@ -1,0 +1,357 @@
+"""Checkpoint file: records that survive a crash of a robot's process, in a file of fixed length.
+
+The whole file is allocated when it is opened, so a full disk is reported before the robot moves. A record is one
+`pwrite` into a slot of its kind. A slot is valid only if its digest is right, so an interrupted write has no effect,
+and the records before it remain. Nothing is synced to the disk: the file survives a crash of the process, not a loss of
+power.
+
+An acceptor record lies within one page of memory, and a crash leaves such a write either undone or done. So an acceptor
+record with a wrong digest means damage, and the promises of this robot may be lost. Then all records are erased,
+because a robot that has forgotten a vote must not continue its mission."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import struct
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from hashlib import blake2s
+from hmac import compare_digest
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from koordgen.runtime.agent.records import KEPT, Acceptor, Identity, Kept, Loaded, Locals, Mission
+from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.program.program import Port, Program, Variable
+from koordgen.runtime.values.points import transmissible
+
+STORE_FORMAT = 2
+_MAGIC = b"koord-state\n"
+_HEADER = 512  # bytes; less than a page, so a crash never leaves half of it
+_DIGEST = 16
+_PAGE = 4096  # bytes, or a divisor of the page size
+_HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
+
+_encode = msgspec.msgpack.Encoder().encode
+
+
+_KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
+_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+_SLOTS = (2, KEPT + 1, 2)  # one slot more than records to recover: the slot being written may be damaged
+_DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
+
+
+_identity_decoder = msgspec.msgpack.Decoder(Identity)
+
+
+class CheckpointStore(Protocol):
+    """Store of the records that survive a crash of a robot's process."""
+
+    def write(self, record: Kept) -> bool: ...
+
+    def load(self) -> Loaded: ...
+
+    def clear(self) -> None: ...
+
+
+class CheckpointFile:
+    """Checkpoint file of one robot.
+
+    `write` never raises. After a failure all records are erased, so that no restart finds an old state."""
+
+    def __init__(self, identity: Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
+        self._identity = identity
+        self._path = path
+        self._file = file  # -1: nothing is stored
+        self._warn = warn
+        self._sequence = 0
+        self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
+        self._next = [0] * len(_KINDS)  # next slot to write, by kind
+        mission, locals_, acceptor = [_length(room) for room in identity.rooms]
+        assert acceptor <= _PAGE
+        self._lengths = [mission, locals_, _PAGE]
+        second = _HEADER + _SLOTS[0] * mission
+        third = -(-(second + _SLOTS[1] * locals_) // _PAGE) * _PAGE
+        self._begins = [_HEADER, second, third, third + _SLOTS[2] * _PAGE]
+
+    @classmethod
+    def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
+             warn: Callable[[str], None]) -> CheckpointFile:  # fmt: skip
+        """Open the file at `path`, created and allocated if needed. Without a path, nothing is stored.
+
+        A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""
+        identity = Identity(STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys))
+        if path is None:
+            return cls(identity, None, -1, warn)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise _cannot(path, error) from None
+        store = cls(identity, path, file, warn)
+        try:
+            store._prepare(path)
+        except OSError as error:
+            store.close()
+            raise _cannot(path, error) from None
+        except CannotOpen:
+            store.close()
+            raise
+        loaded = store.load()  # so that further records count as newer
+        if store._is_damaged(_NUMBERS[Acceptor]):
+            if loaded.mission is not None:
+                warn(
+                    f"state: {path} is damaged: what this robot promised the others in its mission cannot be read, so "
+                    "it does not come back to that mission. End the programs of all robots and start them again"
+                )
+            store.clear()
+        return store
+
+    @property
+    def keeps(self) -> bool:
+        """True if a restart would find the records written."""
+        return self._file >= 0
+
+    def write(self, record: Kept) -> bool:
+        """Store a record. Return False if it was not stored; the reason was reported once.
+
+        Kept short, because all robots wait for the entry that waits for this write."""
+        if self._file < 0:
+            return False
+        kind, payload = _NUMBERS[type(record)], _encode(record)
+        length, slot = len(payload), self._next[kind]
+        self._sequence += 1
+        body, digest = _HEAD.pack(kind, self._sequence, length) + payload, self._keyed.copy()
+        digest.update(body)
+        body += digest.digest()
+        try:
+            if length > self._identity.rooms[kind]:
+                raise OSError(errno.EFBIG, f"a record of {length} bytes where there is room for fewer")
+            if os.pwrite(self._file, body, self._begins[kind] + slot * self._lengths[kind]) != len(body):
+                raise _full()
+        except OSError as error:
+            self._give_up(error)
+            return False
+        self._next[kind] = slot + 1 if slot + 1 < _SLOTS[kind] else 0
+        return True
+
+    def load(self) -> Loaded:
+        """Return the stored records. Never raises; damaged records are ignored."""
+        newest: dict[int, tuple[int, int, Kept]] = {}  # kind -> sequence, slot, record
+        rounds: dict[int, tuple[int, Locals]] = {}
+        for kind, slots in enumerate(_SLOTS):
+            for slot in range(slots):
+                found = self._read(kind, slot)
+                if found is None:
+                    continue
+                sequence, record = found
+                if kind not in newest or sequence > newest[kind][0]:
+                    newest[kind] = (sequence, slot, record)
+                if isinstance(record, Locals) and sequence > rounds.get(record.round, (0, None))[0]:
+                    rounds[record.round] = (sequence, record)
+        for kind, (sequence, slot, _) in newest.items():
+            self._sequence = max(self._sequence, sequence)
+            self._next[kind] = (slot + 1) % _SLOTS[kind]
+        by_type = {type(record): record for _, _, record in newest.values()}
+        mission, acceptor = by_type.get(Mission), by_type.get(Acceptor)
+        return Loaded(
+            mission if isinstance(mission, Mission) else None,
+            tuple(rounds[r][1] for r in sorted(rounds)[-KEPT:]),
+            acceptor if isinstance(acceptor, Acceptor) else None,
+        )
+
+    def clear(self) -> None:
+        """Erase all records: a new mission begins."""
+        if self._file >= 0:
+            try:
+                self._begin_anew()
+            except OSError as error:
+                self._give_up(error)
+
+    def close(self) -> None:
+        if self._file >= 0:
+            with suppress(OSError):
+                os.close(self._file)
+            self._file = -1
+
+    def _prepare(self, path: Path) -> None:
+        """Lock the file, and make sure of its identity and full allocation."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise CannotOpen(f"state: {path} is in use: does the robot's program run already?") from None
+        os.fchmod(self._file, 0o600)
+        old = os.pread(self._file, _HEADER, 0)
+        if any(old) and not old.startswith(_MAGIC):
+            raise CannotOpen(f"state: {path} is no file of koordgen's: move it away, or set another `state` folder")
+        size = self._offset(len(_KINDS), 0)
+        try:
+            os.ftruncate(self._file, size)
+            os.posix_fallocate(self._file, 0, size)
+        except OSError as error:
+            if not any(old):
+                path.unlink(missing_ok=True)  # it was empty
+            raise _cannot(path, error, f"; it takes {-(-size // 1024)} KiB") from None
+        found = _identity(old)
+        ours = found is not None and msgspec.structs.replace(found, token=b"") == self._identity
+        if found is not None and ours:
+            self._identify(found)
+            return
+        if any(old):
+            self._warn(f"state: {path} is {_difference(found, self._identity)}; it is begun anew")
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Erase all records, the missions first: without a mission no other record is valid."""
+        size = self._offset(len(_KINDS), 0)
+        _put(self._file, bytes(size - _HEADER), _HEADER)
+        self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
+        text = _encode(self._identity)
+        body = (_MAGIC + len(text).to_bytes(2, "big") + text).ljust(_HEADER - _DIGEST, b"\0")
+        _put(self._file, body + blake2s(body, digest_size=_DIGEST).digest(), 0)
+
+    def _identify(self, identity: Identity) -> None:
+        self._identity = identity
+        self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
+
+    def _give_up(self, error: OSError) -> None:
+        with suppress(OSError):
+            os.ftruncate(self._file, 0)
+        self.close()
+        if self._path is not None:
+            with suppress(OSError):
+                self._path.unlink()
+        self._warn(
+            f"state: {self._path}: {error.strerror or error}; nothing is kept from now on: if this robot's program "
+            "dies, it cannot come back to this mission"
+        )
+
+    def _offset(self, kind: int, slot: int) -> int:
+        """Return the offset of a slot. The offset of the kind after the last is the file's length."""
+        return self._begins[kind] + (slot * self._lengths[kind] if slot else 0)
+
+    def _digest(self, body: bytes) -> bytes:
+        state = self._keyed.copy()
+        state.update(body)
+        return state.digest()
+
+    def _is_damaged(self, kind: int) -> bool:
+        """Return whether something was written to a slot of this kind that cannot be read."""
+        slots = [slot for slot in range(_SLOTS[kind]) if self._read(kind, slot) is None]
+        return any(any(os.pread(self._file, self._lengths[kind], self._offset(kind, slot))) for slot in slots)
+
+    def _read(self, kind: int, slot: int) -> tuple[int, Kept] | None:
+        if self._file < 0:
+            return None
+        try:
+            raw = os.pread(self._file, _length(self._identity.rooms[kind]), self._offset(kind, slot))
+        except OSError:
+            return None
+        if len(raw) < _HEAD.size:
+            return None
+        written, sequence, length = _HEAD.unpack_from(raw)
+        end = _HEAD.size + length
+        if written != kind or not compare_digest(raw[end : end + _DIGEST], self._digest(raw[:end])):
+            return None
+        try:
+            return sequence, _DECODERS[kind].decode(raw[_HEAD.size : end])
+        except ValueError:
+            return None
+
+
+def _rooms(program: Program, n_sys: int) -> tuple[int, ...]:
+    """Return the largest size in bytes of a record of each kind."""
+    shared = sum(4 + v.bound.bytes for v in program.shared)
+    own = sum(v.bound.bytes for v in program.locals)
+    ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)
+    view = 128 + 10 * n_sys  # its members are numbers
+    return (256 + shared, 64 + own + ports, 64 + 2 * view)
+
+
+def _length(room: int) -> int:
+    return _HEAD.size + room + _DIGEST
+
+
+def _put(file: int, data: bytes, offset: int) -> None:
+    if os.pwrite(file, data, offset) != len(data):
+        raise _full()
+
+
+def _full() -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _identity(header: bytes) -> Identity | None:
+    body, digest = header[:-_DIGEST], header[-_DIGEST:]
+    if len(header) != _HEADER or not compare_digest(blake2s(body, digest_size=_DIGEST).digest(), digest):
+        return None
+    at = len(_MAGIC) + 2
+    length = int.from_bytes(body[at - 2 : at], "big")
+    try:
+        return _identity_decoder.decode(body[at : at + length])
+    except ValueError:
+        return None
+
+
+def _difference(found: Identity | None, own: Identity) -> str:
+    if found is None:
+        return "damaged, or of another version"
+    if (found.app, found.program) != (own.app, own.program):
+        return f"of another program ({found.app} {found.program}, here {own.app} {own.program})"
+    if (found.robot, found.pid, found.n_sys) != (own.robot, own.pid, own.n_sys):
+        return f"of robot {found.robot}, pid {found.pid} of {found.n_sys} (here {own.robot}, {own.pid} of {own.n_sys})"
+    return "of another version"
+
+
+def _cannot(path: Path, error: OSError, more: str = "") -> CannotOpen:
+    return CannotOpen(
+        f"state: {path}: {error.strerror or error}{more}; make room or leave to write there, or set `state` to another "
+        "folder (null: none, then this robot cannot come back to a mission)"
+    )
+
+
+def _actuators(program: Program) -> tuple[Port, ...]:
+    return tuple(p for p in program.ports if p.direction == "actuator")
+
+
+class LocalsCodec:
+    """Codec of a program's locals and actuators: MessagePack arrays in the program's order.
+
+    An actuator without a value is nil."""
+
+    def __init__(self, program: Program) -> None:
+        self._locals: tuple[Variable | Port, ...] = program.locals
+        self._actuators: tuple[Variable | Port, ...] = _actuators(program)
+
+    def encode(self, locals_: Mapping[str, Any], actuators: Mapping[str, Any]) -> tuple[bytes, bytes]:
+        return (
+            _encode([locals_[v.name] for v in self._locals]),
+            _encode([actuators.get(p.name) for p in self._actuators]),
+        )
+
+    def decode(self, locals_: bytes, actuators: bytes) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Return both by name, or None if anything does not fit the program. Never raises."""
+        own, ports = _values(self._locals, locals_, False), _values(self._actuators, actuators, True)
+        return None if own is None or ports is None else (own, ports)
+
+
+def _values(places: tuple[Variable | Port, ...], data: bytes, may_lack: bool) -> dict[str, Any] | None:
+    try:
+        raw = msgspec.msgpack.decode(data, type=list[msgspec.Raw])
+        if len(raw) != len(places):
+            return None
+        found = {}
+        for place, text in zip(places, raw, strict=True):
+            if may_lack and bytes(text) == b"\xc0":
+                continue
+            value = msgspec.msgpack.decode(text, type=place.type)
+            if not transmissible(value) or (place.bound is not None and place.bound.flaw(value)):
+                return None
+            found[place.name] = value
+    except (ValueError, RecursionError):  # text that is not Unicode raises ValueError, not DecodeError
+        return None
+    return found

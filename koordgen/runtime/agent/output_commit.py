@@ -1,0 +1,152 @@
+"""Output commit: outputs of rounds wait here until the rounds are committed.
+
+An event changes its own robot's variables at once, a transaction once it has won. Everything that leaves the robot
+(commands, lines, trace) waits until the round is committed: an event that the fleet does not count never moves a
+robot."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from msgspec.structs import replace
+
+from koordgen.runtime.program.program import Effects, Life
+from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
+from koordgen.runtime.replication.state_machine import StateMachine
+from koordgen.runtime.trace.writer import Record
+
+MOST_WAITING = 64  # records; if more wait, the record of an idle round is dropped
+AHEAD = 3  # rounds beyond the last committed one in which events without outputs may still run
+
+
+@dataclass(slots=True)
+class _Waiting:
+    record: Record
+    lock: int  # -1: a plain event, or none
+    life: Life | None
+
+
+class OutputCommit:
+    """Records of uncommitted rounds, in ascending order.
+
+    `lives`: states that the robot may have to roll back to; the first is committed. `first`: the first round whose
+    outputs wait, or None."""
+
+    def __init__(self, life: Life) -> None:
+        self._waiting: deque[_Waiting] = deque()
+        self._commit: _Waiting | None = None  # a transaction whose result is unknown
+        self.lives = [life]
+        self.first: int | None = None
+
+    @property
+    def life(self) -> Life:
+        """The latest life, committed or not."""
+        return self.lives[-1]
+
+    @property
+    def undecided(self) -> bool:
+        """True if the result of a transaction is not known yet."""
+        return self._commit is not None
+
+    @property
+    def pressing(self) -> bool:
+        """True if waiting records must be handled before the next event.
+
+        They may change this robot's variables or its commands, or there is no room for more. Others have time until the
+        event's entry was sent.
+        """
+        return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
+
+    def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
+        """Add a round's record, with the life that its event led to, if any."""
+        waiting = _Waiting(record, lock, life)
+        if len(self._waiting) < MOST_WAITING or life is not None:
+            self._waiting.append(waiting)
+        if self.first is None and has_outputs(record.effects):
+            self.first = record.round
+        if lock >= 0:
+            self._commit = waiting
+        elif life is not None:
+            self.lives.append(life)
+
+    def decide(self, state: StateMachine) -> bool | None:
+        """Return whether the pending transaction has won; None if there is none, or its result is not known."""
+        waiting = self._commit
+        if waiting is None or state.applied < waiting.record.round:
+            return None
+        self._commit = None
+        waiting.lock = -1
+        if state.won == waiting.record.round:
+            if waiting.life is not None:
+                self.lives.append(waiting.life)
+            return True
+        why = f"{LOST_CONTENTION}: {waiting.record.event}, to another robot's transaction"
+        waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
+        waiting.life = None
+        self._look()
+        return False
+
+    def can_settle(self, state: StateMachine) -> bool:
+        """Return whether `decide` or `ready` would return something."""
+        if not self._waiting:
+            return False
+        first, commit = self._waiting[0], self._commit
+        if commit is not None and state.applied >= commit.record.round:
+            return True
+        return first.lock < 0 and _is_committed(first.record, state)
+
+    def ready(self, state: StateMachine | None) -> list[Record]:
+        """Return the committed records, by ascending round.
+
+        Without a store, those before the first with an event."""
+        found = []
+        while self._waiting and self._waiting[0].lock < 0:
+            waiting = self._waiting[0]
+            if not _is_committed(waiting.record, state):
+                break
+            self._waiting.popleft()
+            found.append(waiting.record)
+            if waiting.record.round == self.first:
+                self._look()
+            while waiting.life is not None and self.lives[0] is not waiting.life:
+                del self.lives[0]
+        return found
+
+    def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
+        """End all waiting after a rejoin: the last event of this robot that counts is that of round `acted`.
+
+        Return the life to go on with, or None if it is not known any more, and all records, now that they are decided.
+        """
+        # the proposed transaction may have won
+        proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]
+        life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
+        found = []
+        for waiting in self._waiting:
+            record = waiting.record
+            if (record.effects is not None or record.frame is not None) and record.round > acted:
+                record = replace(
+                    record, event=None, effects=None, frame=None, skipped=f"{NOT_COUNTED}: the others went on"
+                )
+            found.append(record)
+        self._waiting.clear()
+        self._commit = self.first = None
+        if life is not None:
+            self.lives = [life]
+        return life, found
+
+    def _look(self) -> None:
+        self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
+
+
+def _is_committed(record: Record, state: StateMachine | None) -> bool:
+    """Return whether no view can leave out what an event wrote, or what an event without effect has read."""
+    if record.effects is None and record.frame is None:
+        return True
+    last = record.round if record.effects is not None else record.round - 1
+    return state is not None and last <= state.committed
+
+
+def has_outputs(effects: Effects | None) -> bool:
+    """Return whether an event has outputs: something that leaves the robot."""
+    return effects is not None and bool(effects.actuators or effects.streams or effects.stopped)

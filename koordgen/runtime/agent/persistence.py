@@ -1,0 +1,82 @@
+"""Persistence: state that a robot writes during a mission, and state found from an earlier process."""
+
+from __future__ import annotations
+
+import msgspec
+
+from koordgen.runtime.agent.checkpoint import CheckpointStore, LocalsCodec
+from koordgen.runtime.agent.records import Acceptor, Loaded, Locals, Mission
+from koordgen.runtime.net.codec import encoder
+from koordgen.runtime.net.wire import View
+from koordgen.runtime.program.program import Life, Program
+from koordgen.runtime.replication.messages import HardState, Vote
+
+
+class Persistence:
+    """Persistent state of one robot. `past`: state of an earlier process; empty once a new mission begins."""
+
+    def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
+        self._store = store
+        self._codec = LocalsCodec(program)
+        self._n = n_sys
+        self._epoch = b""  # epoch of the persisted mission
+        # last view and vote, with their encodings
+        self._said: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""
+        self.past = store.load()
+        if self.past.mission is not None:
+            self._epoch = self.past.mission.epoch
+
+    @property
+    def interrupted(self) -> bytes:
+        """Epoch of the mission that an earlier process died in; b"" for none."""
+        return self.past.mission.epoch if self.past.mission is not None else b""
+
+    def forget(self) -> None:
+        """Erase all state: of an earlier process, or of a mission that is over."""
+        self.past = Loaded()
+        self._epoch = b""
+        self._store.clear()
+
+    def mission(self, epoch: bytes, init: Life) -> None:
+        """Persist the mission that this robot belongs to, before announcing it."""
+        if epoch not in (b"", self._epoch):
+            self._epoch = epoch
+            self._store.write(Mission(epoch, 0, b""))
+            self.life(init, 0)
+
+    def life(self, life: Life, incarnation: int) -> None:
+        """Persist the robot's own variables after an event, and the incarnation that ran it."""
+        own, actuators = self._codec.encode(life.locals, life.actuators)
+        self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
+
+    def hard_state(self, state: HardState) -> None:
+        """Persist the promises that this robot made to others."""
+        view, applied, vote = state.view, state.applied, state.vote
+        known_view, known_vote, encoded, value = self._said
+        if view is not known_view or vote is not known_vote:
+            encoded, value = encoder.encode(view), b"" if vote.value is None else encoder.encode(vote.value)
+            self._said = view, vote, encoded, value
+        self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
+
+    def lives(self) -> list[Life]:
+        """Return the lives that an earlier process has persisted, in ascending order; may be empty."""
+        found = []
+        for kept in self.past.locals:
+            decoded = self._codec.decode(kept.locals, kept.actuators)
+            if decoded is not None:
+                found.append(Life(kept.round, *decoded, kept.stopped))
+        return found
+
+    def last_hard_state(self) -> HardState:
+        """Return the hard state that an earlier process has persisted, or that of a new mission."""
+        kept = self.past.acceptor
+        if kept is None:
+            return first_hard_state(self._n)
+        view = msgspec.msgpack.decode(kept.view, type=View)
+        value = msgspec.msgpack.decode(kept.accepted, type=View) if kept.accepted else None
+        return HardState(view, kept.applied, Vote(kept.number, kept.promised, kept.accepted_ballot, value))
+
+
+def first_hard_state(n_sys: int) -> HardState:
+    """Return the hard state at the beginning of a mission: all robots are members."""
+    return HardState(View(0, 1, (0,) * n_sys), 0, Vote())

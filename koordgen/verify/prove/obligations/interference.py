@@ -1,0 +1,107 @@
+"""Interference: changes by other robots in a round before an event.
+
+Each robot runs at most one event a round. So what only robot j writes is as it was at the round's start, or the guard
+of an event that writes it held for j then. For a plain event and detail "most", it is also the value that the event
+computes from the round's start.
+"""
+
+from __future__ import annotations
+
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.tree import walk
+from koordgen.verify.prove.encode.loop import conjuncts, temps_of, written
+from koordgen.verify.prove.encode.state import Key, RoundStart, SymbolicState
+from koordgen.verify.prove.encode.stmt import Env, SymbolicFrame
+from koordgen.verify.prove.encode.values import Val, as_term
+from koordgen.verify.prove.obligations.part_encoder import PartEncoder, mentioned
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.term import Term
+
+
+def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now: SymbolicState) -> None:
+    """Assume for the other robots how their slots and locals may differ from the round's start."""
+    context, program = part_encoder.context, part_encoder.problem.program
+    writers = {event.name: written(event.effect) for event in program.events}
+    own = [key for key in part_encoder.problem.types if key[0] in ("local", "slot")]
+    functional = {
+        e.name for e in program.events if part_encoder.problem.detail == "most" and _is_functional(e, program)
+    }
+
+    def instance(robot: Term) -> Term:
+        acting = context.same(robot, round_start.own)
+        if acting is t.TRUE:
+            return t.TRUE
+        held: dict[str, Term] = {}
+        wrote: dict[str, Env] = {}
+        parts = [
+            t.implies(as_term(now.of(key, robot)), as_term(round_start.of(key, robot)))
+            for key in part_encoder.problem.cleared
+        ]  # a command clears a sensor such as `reached`; nothing else within a round sets it
+        for key in own:
+            same = part_encoder.encoder.lists.same(now.of(key, robot), round_start.of(key, robot))
+            ran = []
+            for event in program.events:
+                if key in writers[event.name]:
+                    if event.name not in held:
+                        held[event.name] = _guard(part_encoder, round_start, event, robot)
+                        wrote[event.name] = (
+                            _wrote(part_encoder, round_start, event, robot) if event.name in functional else {}
+                        )
+                    computed = wrote[event.name].get(key)
+                    as_computed = (
+                        t.TRUE if computed is None else part_encoder.encoder.lists.same(now.of(key, robot), computed)
+                    )
+                    ran.append(t.and_(held[event.name], as_computed))
+            parts.append(t.or_(same, *ran))
+        return t.implies(t.and_(context.within(robot), t.not_(acting)), t.all_of(parts))
+
+    with context.about("one event a round", 0):
+        context.for_all(instance, inner=True)
+
+
+def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Term:
+    """Return the parts of an event's guard that held at the round's start.
+
+    They held for a robot that runs the event in the round. A transaction sees what others wrote since, so only the
+    parts about the robot's own variables count. The guards of events with priority over it were false."""
+    frame = SymbolicFrame(part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.know)
+    parts = []
+    with part_encoder.context.separate_demands():
+        for part in conjuncts(event.guard):
+            if event.lock is None or all(_own(key, part) for key in mentioned(part)):
+                parts.append(part_encoder.encoder.term(part, frame))
+        for earlier in part_encoder.problem.program.earlier(event):
+            parts.append(t.not_(part_encoder.encoder.term(earlier.guard, frame)))
+    return t.all_of(parts)
+
+
+def _is_functional(event: decl.Event, program: decl.Program) -> bool:
+    """Return whether an event's writes are a function of what the robot saw at the round's start.
+
+    Not so for a transaction, a port's answer, or a loop; nor with extern functions, even within functions, since their
+    contracts hold only where the call is made."""
+    unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
+    bodies = tuple([f.block for f in program.functions])
+    calls = any(isinstance(n, ir.ExternCall) for n in walk(bodies))
+    return event.lock is None and not calls and not any(isinstance(n, unknown) for n in walk(event.effect))
+
+
+def _wrote(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Env:
+    frame = SymbolicFrame(
+        part_encoder.encoder, robot, round_start, round_start, _no_port, temps_of(event.effect), part_encoder.know
+    )
+    with part_encoder.context.separate_demands():
+        frame.block(event.effect)
+    return frame.writes()
+
+
+def _own(key: Key, part: ir.Expr) -> bool:
+    if key[0] != "slot":
+        return key[0] != "cell"
+    reads = [n for n in walk(part) if isinstance(n, (ir.SlotRead, ir.SlotsRead)) and n.name == key[1]]
+    return all(isinstance(n, ir.SlotRead) and isinstance(n.index, ir.Pid) for n in reads)
+
+
+def _no_port(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+    raise AssertionError("a guard calls no port")

@@ -1,0 +1,358 @@
+"""Proof problem, and the encoder of one part of a program with its assumptions."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import islice, product
+from typing import Literal
+
+from koordgen.lang.ir import decl, stmt
+from koordgen.lang.ir import expr as ir
+from koordgen.lang.ir.ports import clears
+from koordgen.lang.ir.tree import Part, walk
+from koordgen.lang.ir.types import Type
+from koordgen.verify.prove.encode.context import ProofContext, symbol
+from koordgen.verify.prove.encode.encoder import Scope
+from koordgen.verify.prove.encode.function import Functions
+from koordgen.verify.prove.encode.loop import conjuncts, written
+from koordgen.verify.prove.encode.quantifier import domain as domain_of
+from koordgen.verify.prove.encode.scope import FleetScope, RobotScope, UnknownAnswer
+from koordgen.verify.prove.encode.state import Key, SymbolicState, UpdatedState, cleared, declared, sensors
+from koordgen.verify.prove.encode.stmt import LoopHead
+from koordgen.verify.prove.encode.values import Val, build, shape
+from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
+from koordgen.verify.prove.smt import term as t
+from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
+from koordgen.verify.prove.smt.term import Term
+
+# How many of the known facts are added. "little" suffices for most proofs; "most" adds all, which solvers find hard.
+# Counterexamples satisfy the facts of "usual" or "most".
+Detail = Literal["little", "usual", "most"]
+Trigger = ir.Call | ir.ExternCall | ir.Builtin
+CHOICES = 16  # most combinations of values at which an axiom is instantiated to check axioms against one another
+UNROLLED, PAIRED = 20, 4  # most robots that are named by numbers; the same if formulas quantify over pairs of robots
+
+
+class ProofProblem:
+    """Proof problem: a program, its number of robots (None: any), and fixed params.
+
+    `detail`: how many of the known facts are added. `dropped`: formulas that do not hold at heads of loops."""
+
+    def __init__(
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
+        dropped: frozenset[HeadFormula] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.detail = detail
+        pairs = any(_pairs(p.formula) for p in program.properties)
+        self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
+        self.program, self.robots, self.params = program, robots, params or {}
+        self.types = declared(program)
+        self.sensors, self.cleared = sensors(program), cleared(program)
+        self.invariants = [p for p in program.properties if p.kind == "invariant"]
+        self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
+        self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+        numbered = robots if self.unrolled else None
+        self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
+
+    def changed(self, event: decl.Event) -> set[Key]:
+        """Return the variables that an event may change, including sensors that its commands clear."""
+        keys = {key for key in written(event.effect) if key[0] != "temp"}
+        commanded = clears(self.program)
+        cleared = {("port", sensor) for kind, name in keys if kind == "port" for sensor in commanded.get(name, ())}
+        return keys | cleared
+
+    def touched(self, keys: Collection[Key]) -> list[decl.Property]:
+        """Return the invariants that mention one of these variables.
+
+        Frame condition: the others stay unchanged."""
+        return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
+
+
+class PartEncoder:
+    """Encoder of one part of a program, for one obligation or several that share their facts."""
+
+    def __init__(self, problem: ProofProblem, thorough: bool = False) -> None:
+        """Begin a part. `thorough`: add all facts about distances, whatever the problem's detail."""
+        self.thorough = thorough or problem.detail == "most"
+        program = problem.program
+        self.problem = problem
+        self.brief = problem.detail == "little"
+        self.context = ProofContext(program, problem.robots, problem.unrolled)
+        self.params: dict[str, Val] = {}
+        self.looked: dict[int, int] = {}  # id of an axiom's trigger -> number of calls at which it was instantiated
+        self.functions = Functions(self.context, self.params, self.know, self.brief and not thorough)
+        self.encoder = self.functions.encoder
+        self.encoder.geometry.brief = self.brief and not thorough
+        for param in program.params:
+            self.params[param.name] = self._param(param)
+        for property_ in problem.initially:
+            self.rigid(property_.formula)
+
+    def _param(self, param: decl.Param) -> Val:
+        fixed = self.problem.params.get(param.name)
+        if fixed is not None:
+            return self.encoder.value(fixed, FleetScope(_Nowhere()))
+        name = symbol(param.name)
+        return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
+
+    # What is assumed
+
+    def rigid(self, formula: ir.Expr) -> None:
+        """Assume for good the parts of an `initially` formula that read params alone."""
+        for part in conjuncts(formula):
+            if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
+                       for n in walk(part)):  # fmt: skip
+                with self.context.about("initially", part.span.line):
+                    self.assume(part, FleetScope(_Nowhere()))
+
+    def holds(
+        self, properties: Iterable[decl.Property], state: SymbolicState, guard: Term = t.TRUE, when: str = ""
+    ) -> None:
+        """Assume properties of a state, under the condition `guard`."""
+        for property_ in properties:
+            label = f"{property_.kind} {property_.name}".strip() + when
+            with self.context.about(label, property_.span.line):
+                self.assume(property_.formula, FleetScope(state), guard)
+
+    def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
+        """Add a formula as a fact under the condition `guard`. A universal formula is instantiated later."""
+        match formula:
+            case ir.Logic("and", left, right):
+                self.assume(left, scope, guard)
+                self.assume(right, scope, guard)
+            case ir.Quantified("forall", name, domain, body):
+                over = domain_of(self.encoder, domain, scope, body, name)
+                temps = dict(scope.temps)
+
+                def instance(value: Val, within: Term) -> None:
+                    kept, scope.temps = scope.temps, {**temps, name: value}
+                    with self.context.grant(value if isinstance(domain, ir.Ids) else None):
+                        self.assume(body, scope, t.and_(guard, within))
+                    scope.temps = kept
+
+                def each(index: Term) -> Term:
+                    within = over.inside(index)
+                    if within is not t.FALSE:
+                        instance(over.element(index), within)
+                    return t.TRUE
+
+                for value in over.listed or ():
+                    instance(value, t.TRUE)
+                if over.listed is None:
+                    self.context.for_all(each, over.robots, over.places)
+            case _:
+                self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+
+    def know(self, head: LoopHead) -> None:
+        """Assume the formulas at a loop's head: before each turn and after the last one, from the head on.
+
+        SOUND: only for indices that name robots. The formulas contain an `init` also of an index that names none, of
+        which nothing may be assumed."""
+        loops, place, own = self.problem.loops, head.turn, head.turn.frame.pid
+        in_event = place.frame.now is not None
+        reached = t.and_(place.reached, self.context.within(own)) if in_event else place.reached
+        with (
+            self.context.known_at(place.position),
+            self.context.outermost(),
+            self.context.grant(own if in_event else None),
+        ):
+            for at, formula in loops.stated(head.loop):
+                with self.context.about(f"loop invariant of {at.owner}", formula.span.line):
+                    self.assume(formula, place.frame, reached)
+            for at, property_ in loops.candidates(head.loop):
+                label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
+                with self.context.about(label, property_.span.line):
+                    formula, scope = self.at_head(at, property_, place.frame.state())
+                    self.assume(formula, scope, reached)
+
+    def at_head(self, at: HeadFormula, property_: decl.Property, state: UpdatedState) -> tuple[ir.Expr, FleetScope]:
+        """Return an invariant as it is assumed at a loop's head.
+
+        In an event it is stated as if the event ended there. In `init` it is stated about the robot itself, since the
+        others may or may not have run theirs."""
+        scope, formula = FleetScope(state), property_.formula
+        while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
+            if not isinstance(formula.domain, ir.Ids):
+                break
+            scope.temps[formula.name] = state.own
+            formula = formula.body
+        return formula, scope
+
+    def ports(self, before: SymbolicState, after: SymbolicState) -> None:
+        """Assume each module's assumptions, for every robot, about a step of the environment."""
+        for module in self.problem.program.modules:
+            for assumption in module.assumptions:
+                with self.context.about(f"assume of {module.name}", assumption.span.line):
+                    self._each_robot(assumption, before, after)
+
+    def _each_robot(self, assumption: decl.Assumption, before: SymbolicState, after: SymbolicState) -> None:
+        parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in walk(p))]
+
+        def instance(robot: Term) -> Term:
+            inside = t.TRUE if self.context.indices.get(robot) else self.context.within(robot)
+            for part in parts:
+                self.assume(part, RobotScope(before, after, robot, {}), inside)
+            return t.TRUE
+
+        if parts:
+            self.context.for_all(instance)
+
+    def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: SymbolicState) -> None:
+        """Assume what the program assumes of a callable port's answer, for the goals with which it was called."""
+        name = f"{port.module}.{port.port}"
+        for module in self.problem.program.modules:
+            for assumption in module.assumptions if module.name == port.module else ():
+                for part in conjuncts(assumption.formula):
+                    self._of_answer(part, port, args, RobotScope(state, state, pid, {(name, args): answer}))
+
+    def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: RobotScope) -> None:
+        """Assume one formula about an answer, if it is about the time of the call.
+
+        A formula with primed ports or actuators is about a later instant, when these may have other values."""
+        calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
+        reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
+        ports = {("port", f"{n.module}.{n.port}") for n in reads}
+        if not calls or not ports <= self.problem.sensors or any(n.primed for n in reads):
+            return
+        call, free = calls[0]
+        if len(call.args) != len(args):
+            return
+        scope.temps = {goal.name: args[place] for place, goal in free.items()}
+        with self.context.about(f"assume of {port.module}", part.span.line):
+            try:
+                self.context.fact_if_reached(self.encoder.defined(part, scope))
+            except (UnknownAnswer, KeyError):
+                return  # the formula mentions other goals, too
+
+    def any_answers(self, state: SymbolicState) -> None:
+        """Assume an answer of each callable port that has assumptions, for arbitrary goals."""
+        for module in self.problem.program.modules:
+            for assumption in module.assumptions:
+                for call, _ in decl.handed(assumption.formula):
+                    args = tuple([self.context.any("goal", arg.type) for arg in call.args])
+                    answer = self.context.any(f"{call.module}.{call.port}", call.type)
+                    self.answered(call, args, answer, t.integer(0), state)
+
+    def any_axioms(self) -> None:
+        """Instantiate each axiom about all values at two arbitrary values of each type.
+
+        The values are the same for all axioms, so that axioms can contradict one another. SOUND: these are some of the
+        instances."""
+        values: dict[Type, tuple[Val, Val]] = {}
+        for axiom, free, _ in self.problem.axioms:
+            for type_ in free.values():
+                if type_ not in values:
+                    values[type_] = self.context.any("some", type_), self.context.any("other", type_)
+            for choice in islice(product(*[values[type_] for type_ in free.values()]), CHOICES) if free else ():
+                scope = FleetScope(_Nowhere())
+                scope.temps = dict(zip(free, choice, strict=True))
+                with self.context.about(f"axiom {axiom.name}", axiom.span.line):
+                    self.context.fact(self.encoder.defined(axiom.formula, scope))
+
+    def any_contracts(self) -> None:
+        """Assume a call of each extern function, for arbitrary arguments, with a result."""
+        for function in self.problem.program.externs:
+            args = tuple([self.context.any(p.name.split("@")[0], p.type) for p in function.parameters])
+            result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
+            required, ensured = self.functions.contract(function, args, result)
+            with self.context.about(f"contract of {function.name}", function.span.line):
+                for formula in required:
+                    self.context.fact(formula)
+                for formula, line in ensured:
+                    self.context.fact(formula, line=line)
+
+    def is_assumed_of_calls(self, fact: LabelledFormula) -> bool:
+        """Return whether a fact is an assumption about a function or a port that an event calls."""
+        return fact.label.startswith(("contract of ", "axiom ", "assume of "))
+
+    def axioms(self) -> None:
+        """Instantiate the axioms of spec functions at the arguments of calls."""
+        for axiom, free, triggers in self.problem.axioms:
+            with self.context.about(f"axiom {axiom.name}", axiom.span.line):
+                if not free:
+                    self.assume(axiom.formula, FleetScope(_Nowhere()))
+                for trigger in triggers:
+                    self._axiom(axiom, trigger)
+
+    def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
+        """Instantiate an axiom once at each call of its trigger."""
+        met = self.encoder.calls.get(trigger.name, [])
+        done = self.looked.get(id(trigger), 0)
+        self.looked[id(trigger)] = len(met)
+        for args in met[done : len(met)]:
+            scope = FleetScope(_Nowhere())
+            places = zip(trigger.args, args, strict=True)
+            scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
+            self.context.fact(self.encoder.defined(axiom.formula, scope))
+
+    def close(self) -> tuple[LabelledFormula, ...]:
+        """Return all facts, after all goals are encoded.
+
+        Lemmas about distances introduce new distances: for these, lemmas are added once, or twice if `thorough`."""
+        for _ in range(3 if self.thorough else 2):
+            many = len(self.context.facts)
+            self.context.instantiate()
+            self.axioms()
+            self.encoder.geometry.lemmas(self.problem.detail == "most")
+            if len(self.context.facts) == many:
+                break
+        return tuple(self.context.facts)
+
+    def cells(self, states: Iterable[tuple[StateName, SymbolicState]]) -> tuple[StateCell, ...]:
+        """Return the variables of the robots that occur, as terms, for counterexamples.
+
+        None with detail "little"."""
+        if self.brief:
+            return ()
+        lists, found = self.encoder.lists, []
+        for param in self.problem.program.params:
+            found.append(StateCell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
+        robots = [index for index, known in self.context.indices.items() if known or self.context.robots is None]
+        for state_name, state in states:
+            for key, type_ in self.problem.types.items():
+                for robot in robots[:1] if key[0] == "cell" else robots:
+                    owner = None if key[0] == "cell" else robot
+                    found.append(StateCell(key[1], owner, type_, lists.leaves(state.of(key, robot)), state_name))
+        return tuple(found)
+
+
+class _Nowhere:
+    """No state: for formulas that read params alone."""
+
+    types: Mapping[Key, Type] = {}
+    state_name = ""
+
+    def of(self, key: Key, robot: Term) -> Val:
+        raise AssertionError(f"{key} where only params are read")
+
+
+def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
+    """Return the free names of an axiom, and the calls in it whose arguments include all of them."""
+    free = decl.free(axiom)
+    calls = [n for n in walk(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
+    return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
+
+
+def _pairs(formula: ir.Expr, around: bool = False) -> bool:
+    """Return whether a quantifier over robots stands within another one."""
+    for node in walk(formula):
+        if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
+            return around or _pairs(node.body, True)
+    return False
+
+
+def mentioned(formula: Part) -> Iterator[Key]:
+    """Yield the variables that a formula or a block reads or writes."""
+    for node in walk(formula):
+        match node:
+            case ir.LocalOf(name) | ir.LocalRead(name) | stmt.LocalPlace(name):
+                yield "local", name
+            case ir.PortOf(module, port) | ir.PortRead(module, port) | stmt.PortPlace(module, port):
+                yield "port", f"{module}.{port}"
+            case ir.SlotRead(name) | ir.SlotsRead(name) | stmt.OwnSlot(name):
+                yield "slot", name
+            case ir.SharedRead(name) | stmt.SharedPlace(name):
+                yield "cell", name
+            case _:
+                pass
