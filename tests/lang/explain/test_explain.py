@@ -23,7 +23,7 @@ from koordgen.fleet.settings import DriverClass
 from koordgen.lang import explain
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
-from koordgen.lang.explain import Explanation, explanation, show
+from koordgen.lang.explain import CodeExplanation, explanation, show
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
@@ -43,7 +43,7 @@ def of_program(text: str) -> tuple[Program | None, list[str]]:
     return None if unread else program, [d.code for d in together(unread, found)]
 
 
-def examples(found: Explanation) -> Iterator[tuple[str, str, set[str]]]:
+def examples(found: CodeExplanation) -> Iterator[tuple[str, str, set[str]]]:
     """Each example with the line that leads to it and the codes that it must give."""
     yield found.wrong_note, found.wrong, {found.code}
     yield found.right_note, found.right, set()
