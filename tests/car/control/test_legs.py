@@ -67,7 +67,7 @@ def test_a_car_off_its_way_and_near_to_an_obstacle_brakes_before_its_way_is_plan
     navigator._tracker.step(near)
     assert navigator._tracker.error > STRAYED
     assert navigator.step(near, False, world.now) is None
-    assert navigator.progress == "braking: off its way, and near to an obstacle"
+    assert navigator.progress == "braking: off the path, and near to an obstacle"
 
 
 def test_a_new_agent_goes_on_amid_the_path() -> None:

@@ -211,7 +211,7 @@ def test_until_the_first_way_is_planned_the_car_stands() -> None:
     world = among(BOX, planning=Late)
     world.go(3.0, 0.0)
     world.run(0.15)
-    assert world.car.progress == "standing until a way is planned" and standing(world)
+    assert world.car.progress == "standing until a path is planned" and standing(world)
     assert drive(world, 12.0, BOX) > 0.05 and world.value("reached") is True
 
 
