@@ -21,7 +21,7 @@ from targets.car.planning.planner import SLIVER, Area, arc, segments
 from targets.car.planning.reasons import NoWay
 
 STANDING = 0.05  # m/s; a car that is not faster counts as standing
-# A new path is requested if the target has moved by more than MOVED (m) plus MOVED_SHARE times the car's distance to it.
+# A new path is requested if the target has moved by more than MOVED (m) + MOVED_SHARE * (the car's distance to it).
 MOVED, MOVED_SHARE = 0.02, 0.05
 # A path with changes of gear is driven to its end, if the target has moved by no more than this share of the car's
 # distance to it. If it were replanned each time the target moves, the car might never come to its changes of gear.

@@ -86,7 +86,7 @@ class Drive(Protocol):
         ...
 
     def close(self, standing: bool) -> None:
-        """Close the device. If the car is not `standing`, the watchdog goes on braking it. Idempotent."""
+        """Close the device. If the car is not `standing`, the watchdog brakes it. Idempotent."""
         ...
 
 

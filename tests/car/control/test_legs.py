@@ -124,7 +124,7 @@ def blocked(**safety: Any) -> World:
 def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
     world = blocked()
     (line,) = world.car.news()
-    assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another way")
+    assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another path")
     world.run(2 * NO_PROGRESS)
     assert "holding until" in world.car.stall, "it stood still twice, or its time for this target is over"
     world.car.news()

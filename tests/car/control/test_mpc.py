@@ -213,8 +213,8 @@ def test_what_is_no_number_is_refused_and_the_plan_before_stands_in(mpc: Mpc, wh
     state = {"state": nan, "speed": State(0.0, 0.0, 0.0, math.nan, 0.0)}.get(what, State(0.02, 0, 0, first.speed, 0))
     path = {"path": [*straight(0.9)[:-1], nan], "short": straight(0.9)[:-1]}.get(what, straight(0.9))
     assert mpc.follow(state, path) == second
-    wrong = "the car's state is" if what in ("state", "speed") else "the path's reference states are"
-    wrong += " not finite"
+    own = what in ("state", "speed")
+    wrong = "the car's state is not finite" if own else "the path's reference states are not finite"
     assert mpc.trouble == wrong
 
 
