@@ -59,7 +59,7 @@ class Scene(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, named: tuple[Grid, ...] | tuple[Point, ...], others: tuple[Path, ...]) -> Scene:
-        """Return the scene with the obstacles that a program passes (all Grids or all Points) and others' paths."""
+        """Return the scene of the obstacles that a program passes, all Grids or all Points, and others' paths."""
         grids = tuple(g for g in named if isinstance(g, Grid))
         return cls(grids, tuple(p for p in named if isinstance(p, Point)), others)
 

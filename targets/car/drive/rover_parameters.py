@@ -66,7 +66,7 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
         ),
         _one("RCMAP_ROLL", STEERING, "else the agent's steering goes to another channel", True),
         _one("RCMAP_THROTTLE", THROTTLE, "else the agent's throttle goes to another channel", True),
-        _one("FS_GCS_ENABLE", 1, "else a rover without a receiver drives on if the agent's computer dies", True),
+        _one("FS_GCS_ENABLE", 1, "else a rover without a receiver drives on when the agent's computer dies", True),
         _one("FS_ACTION", HOLD, "Hold stops the rover when the agent's computer dies", True),
         _within("FS_GCS_TIMEOUT", 1.0, 2.0, "seconds from the agent's last heartbeat to Hold", optional=True),
         _within("RC_OVERRIDE_TIME", 0.2, 1.0, "seconds for which the rover drives on with the agent's last command"),

@@ -184,7 +184,7 @@ def status(millivolts: int, percent: int) -> Message:
 @pytest.mark.parametrize(("variance", "state"), [(0.39, "ok"), (0.41, "warn"), (0.79, "warn"), (0.81, "fail")])
 def test_the_variances_of_the_estimate(variance: float, state: str) -> None:
     found = judged(ekf(variance=variance))["estimate"]
-    assert found.state == state and found.found.endswith("of velocity")
+    assert found.state == state and found.found.endswith("of its limit: velocity")
 
 
 def test_a_flag_that_the_estimate_lacks() -> None:
