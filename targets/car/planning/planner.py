@@ -1,4 +1,4 @@
-"""Representations of a planned path, for the planner's messages and for the tracker; and single arcs without planning."""
+"""Representations of a planned path, for the planner's messages and for the tracker; and single arcs."""
 
 from __future__ import annotations
 
