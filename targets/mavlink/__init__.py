@@ -1,6 +1,6 @@
-"""MAVLink: the way to an autopilot.
+"""MAVLink connection to an autopilot.
 
-Owns: bytes over UDP, TCP or serial, frames, one vehicle with its heartbeats and commands, its parameters.
+Owns: transports (UDP, TCP, serial), framing, the link to one vehicle with heartbeats and commands, its parameters.
 Offers: `link.Link`, `parameters`.
 Must not import: any target.
 """

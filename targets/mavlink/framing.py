@@ -1,7 +1,10 @@
-"""MAVLink frames out of bytes: what is damaged or unknown is counted and skipped byte by byte, so that no good frame
-behind it is lost. (pymavlink's own parser skips as many bytes as the damaged header claims, and mavutil, which wraps
-it, costs 118 ms to import, sleeps, and reconnects in its own way; the dialect module alone is light and pure. Being
-the v2.0 dialect it needs no MAVLINK20 in the environment: only mavutil reads that.)
+"""Decoder of MAVLink frames from bytes.
+
+Damaged and unknown frames are counted and skipped byte by byte, so that no valid frame behind them is lost.
+
+Reasons not to use more of pymavlink than its dialect module: its own parser skips as many bytes as a damaged header
+claims. Its module mavutil takes 118 ms to import, sleeps, and reconnects by its own rules. The v2.0 dialect does not
+depend on the environment variable MAVLINK20, which only mavutil reads.
 """
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ _MARKER = re.compile(rb"[\xfd\xfe]")
 
 
 class Framer:
-    """Decodes frames of MAVLink 2, and 1: an autopilot may begin with those. `rejected` counts bytes and frames."""
+    """Decoder of MAVLink 2 frames, and of MAVLink 1 frames, with which an autopilot may begin.
+
+    `rejected`: numbers of bytes and frames that were dropped, by reason."""
 
     def __init__(self) -> None:
         self._mavlink = mavlink.MAVLink(None)
@@ -36,7 +41,7 @@ class Framer:
         return messages
 
     def _scan(self, data: bytes, whole: bool) -> tuple[list[Message], bytes]:
-        """Return the messages, and what may be the beginning of one that is still on its way (never when `whole`)."""
+        """Return the messages, and the bytes at the end that may begin an incomplete frame (none if `whole`)."""
         messages = []
         at, end, skipped = 0, len(data), 0
         while at < end:
@@ -75,7 +80,9 @@ class Framer:
 
 
 def _frame_size(data: bytes, at: int) -> int | None:
-    """How long the frame is that begins at `at`, or None when none does. A header cut short claims one byte more."""
+    """Return the size of the frame that begins at `at`, or None if no frame begins there.
+
+    If the header is incomplete, return one byte more than there are."""
     header = _HEADER.get(data[at])
     if header is None:
         return None

@@ -1,4 +1,4 @@
-"""A MAVLink link in memory, for a simulator that owns time."""
+"""MAVLink transport in memory, for a simulator that controls time and runs in the same process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from targets.mavlink.transport import Address, Chunk, Way
 
 
 class Direct:
-    """Implements `transport.Transport` over an exchange of datagrams."""
+    """Transport over the simulator's exchange of datagrams: implements `transport.Transport`."""
 
     datagrams = True
 
@@ -24,7 +24,7 @@ class Direct:
         pass
 
     def way(self) -> Way | None:
-        """No other process could write to it."""
+        """Return an invalid descriptor, since no other process could write to this transport."""
         return Way(0, -1)
 
     def send(self, data: bytes) -> bool:

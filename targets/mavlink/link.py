@@ -1,7 +1,7 @@
-"""The MAVLink link to one autopilot: which vehicle it is, heartbeats both ways, commands and their answers.
+"""MAVLink link to one autopilot: identifies the vehicle, exchanges heartbeats, sends commands and receives answers.
 
-Nothing here waits. Commands are asked again until the caller has seen their effect; an acknowledgement alone proves
-nothing [ArduPilot acknowledges a mode in the first second after boot and loses it].
+No method blocks. Commands are repeated until the caller has seen their effect. An acknowledgement alone proves nothing:
+in the first second after boot, ArduPilot acknowledges a change of mode and then loses it.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.transport import Transport
 
-GROUND_STATION = 255  # MAV_GCS_SYSID: only from this system do heartbeats hold off the autopilot's GCS failsafe
+GROUND_STATION = 255  # our system id; as MAV_GCS_SYSID, only its heartbeats hold off the GCS failsafe
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
-GREETING = 0.4  # seconds between two heartbeats of ours: the autopilot lands after 5 s without one, and some are lost
-LOST = 2.0  # seconds without a heartbeat
-GONE = 5.0  # seconds without one of another autopilot's
+GREETING = 0.4  # seconds between two heartbeats of the agent; the autopilot lands after 5 s without, and some are lost
+LOST = 2.0  # seconds without a heartbeat after which the vehicle no longer counts as alive
+GONE = 5.0  # seconds without a heartbeat after which another autopilot or ground station no longer counts as present
 RESULTS = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "rejected for now",
@@ -32,7 +32,7 @@ RESULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """The autopilot that was chosen: the first whose heartbeat was heard, of the system id that was asked for."""
+    """The link's autopilot: the first one with the wanted system id whose heartbeat was received."""
 
     system: int
     component: int
@@ -42,16 +42,19 @@ class Vehicle:
 
 @dataclass(slots=True)
 class Asked:
-    """A command under way: how often it was sent, when last, and the answer to it if there was one."""
+    """Pending command."""
 
-    times: int
-    at: float
-    result: int | None = None
+    times: int  # number of times that it was sent
+    at: float  # time when it was sent last
+    result: int | None = None  # MAV_RESULT of the last acknowledgement
 
 
 class Link:
-    """Owns the transport. `system` is the vehicle's MAVLink system id, 0 for the only one. `rejected` counts what was
-    dropped, by reason; `texts` holds (time, severity, text)."""
+    """Link to one autopilot; owns the transport.
+
+    `system`: MAVLink system id of the vehicle; 0: the only vehicle on the link.
+    `rejected`: numbers of dropped bytes and messages, by reason.
+    `texts`: the last STATUSTEXT messages as (time, severity, text)."""
 
     def __init__(self, transport: Transport, system: int = 0) -> None:
         self._transport = transport
@@ -60,21 +63,21 @@ class Link:
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
         self._source: object = None
         self._greeted = -math.inf
-        self._other = -math.inf  # when the last heartbeat came of another autopilot that may be the one meant
-        self.rival = -math.inf  # when a heartbeat came of another ground station with our system id
+        self._other = -math.inf  # time of the last message of another autopilot that may be the robot's
+        self.rival = -math.inf  # time of the last heartbeat of another ground station with the agent's system id
         self._asked: dict[int, Asked] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
         self.unsent = 0
         self.vehicle: Vehicle | None = None
-        self.heard: float | None = None  # when the vehicle's last heartbeat came
-        self.spoke: float | None = None  # when its last message came
-        self.others: set[int] = set()  # system ids of the other autopilots that were heard
+        self.heard: float | None = None  # time of the vehicle's last heartbeat
+        self.spoke: float | None = None  # time of the vehicle's last message
+        self.others: set[int] = set()  # system ids of other autopilots whose heartbeats were received
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=20)
 
     @property
     def garbled(self) -> int:
-        """Bytes that came and were no part of a frame."""
+        """Number of received bytes that were not part of a frame."""
         return self.rejected.get("bytes", 0)
 
     def alive(self, now: float) -> bool:
@@ -82,13 +85,15 @@ class Link:
         return self.heard is not None and now - self.heard <= LOST
 
     def crowded(self, now: float) -> bool:
-        """Whether another autopilot speaks on this link, by its system id (where none was asked for) or its address:
-        which is ours is not known."""
+        """Return whether another autopilot sends on this link, so that it is not known which one is the robot's.
+
+        It has another system id, if the setting `system` names none, or sends from another address."""
         return now - self._other <= GONE
 
     def rivalled(self, now: float) -> bool:
-        """Whether another ground station sends heartbeats under our system id: they hold off the autopilot's failsafe
-        as well as ours do."""
+        """Return whether another ground station sends heartbeats with the agent's system id.
+
+        If so, the autopilot's failsafe would not act when the agent dies."""
         return now - self.rival <= GONE
 
     def receive(self, now: float) -> list[Message]:
@@ -101,7 +106,7 @@ class Link:
                 if not self._from_vehicle(message):
                     self._take_foreign(message, now)
                 elif strange:
-                    self._count("another address")  # while the vehicle speaks, nobody else does in its name
+                    self._count("another address")  # the vehicle is alive at its own address
                     self._other = now
                 else:
                     self._source, self.spoke = source, now
@@ -119,7 +124,7 @@ class Link:
         return (system, component) == (self.vehicle.system, self.vehicle.component)
 
     def _take_foreign(self, message: Message, now: float) -> None:
-        """Count what is not the vehicle's; of ground stations and of its own gimbals as well."""
+        """Record a message that is not the vehicle's: of another autopilot, a ground station, or a gimbal."""
         system = message.get_srcSystem()
         chosen = self.system or (self.vehicle.system if self.vehicle is not None else 0)
         if chosen and system != chosen:
@@ -143,7 +148,9 @@ class Link:
                 self._take_text(message, now)
 
     def _take_text(self, message: Message, now: float) -> None:
-        """Long texts come in parts of 50 characters with a common id; a part that was lost ends the text there."""
+        """Record a STATUSTEXT. Long texts arrive in chunks of 50 characters with a common id.
+
+        If a chunk is lost, the text ends before it."""
         text = message.text if isinstance(message.text, str) else bytes(message.text).decode("ascii", "replace")
         text = "".join(c if c.isprintable() else "?" for c in text)
         if message.id:
@@ -156,12 +163,12 @@ class Link:
         self.texts.append((now, message.severity, text))
 
     def reasons(self, since: float) -> str:
-        """The autopilot's own words since then, warnings and worse, the latest last; empty when it said nothing."""
+        """Return the autopilot's last STATUSTEXTs since a time, of severity warning or worse; "" if there are none."""
         said = [text for at, severity, text in self.texts if at >= since and severity <= mavlink.MAV_SEVERITY_WARNING]
         return "; ".join(dict.fromkeys(said[-4:]))
 
     def greet(self, now: float) -> None:
-        """Send our heartbeat when one is due."""
+        """Send the agent's heartbeat if it is due."""
         if now - self._greeted >= GREETING:
             self._greeted = now
             self.send(
@@ -171,14 +178,14 @@ class Link:
             )
 
     def send(self, message: Message) -> None:
-        """Send a message, or count it when the transport cannot take it."""
+        """Send a message; if the transport cannot accept it now, drop it and count it in `unsent`."""
         frame = message.pack(self._packer)
         self._packer.seq = (self._packer.seq + 1) % 256
         if not self._transport.send(frame):
             self.unsent += 1
 
     def ask(self, now: float, command: int, *params: float, every: float = 1.0) -> Asked:
-        """Ask for a command, again every so many seconds as long as this is called. Unused params are zero."""
+        """Send a command, and repeat it every `every` seconds as long as this is called. Unused params are zero."""
         asked = self._asked.get(command)
         if asked is None:
             asked = self._asked[command] = Asked(0, -math.inf)
@@ -192,11 +199,11 @@ class Link:
         return self._asked.get(command)
 
     def forget(self, command: int) -> None:
-        """Its effect was seen, or is no longer wanted: the next `ask` starts afresh."""
+        """Drop a pending command, because its effect was seen or is no longer wanted; the next `ask` starts anew."""
         self._asked.pop(command, None)
 
     def tell(self, command: int, *params: float) -> None:
-        """Send a command once; the caller sees to its effect."""
+        """Send a command once. The caller checks its effect."""
         self._command(command, 0, *params)
 
     def _command(self, command: int, confirmation: int, *params: float) -> None:

@@ -1,8 +1,10 @@
-"""Parameters of an autopilot that a flight or a drive depends on: read back and compared, never written.
+"""Check of an autopilot's parameters on which a flight or a drive depends: they are read and compared, never written.
 
-Each is asked for by PARAM_REQUEST_READ, in turns under its present and its older names: an unknown parameter never
-answers. PARAM_VALUE carries an integer either as a float of that value (ArduPilot) or as the integer's own bytes (PX4);
-which, the autopilot says in AUTOPILOT_VERSION.capabilities.
+Each parameter is requested by PARAM_REQUEST_READ, alternately under its present and its older names, because an
+autopilot does not answer a request for an unknown name.
+
+PARAM_VALUE carries an integer either as a float of that value (ArduPilot) or as the integer's own bytes (PX4). The
+autopilot reports its encoding in AUTOPILOT_VERSION.capabilities.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ WAY_OUT = (
     "takes off all the same"
 )
 PILOT = "it takes off because a remote control is there: should the agent die, its pilot must land it"
-REREAD = 5.0  # seconds between two looks at what differs
+REREAD = 5.0  # seconds after which parameters that were wrong are read again
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
     mavlink.MAV_PARAM_TYPE_INT8: "<b",
@@ -36,22 +38,20 @@ _INTEGERS = {
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A parameter, its names in older versions, the values that are right, and why. `vital`: with any other value the
-    vehicle must not take off. `bits`: the values are bits, each of which must be set. `versions`: only where
-    AUTOPILOT_VERSION.flight_sw_version is from the first to the last of them; None: in all versions."""
+    """Required value of a parameter."""
 
     name: str
-    older: tuple[str, ...]
-    values: tuple[float, ...]
-    why: str
-    vital: bool = False
-    bits: bool = False
-    versions: tuple[int, int] | None = None
+    older: tuple[str, ...]  # its names in older firmware versions
+    values: tuple[float, ...]  # the right values
+    why: str  # consequence of a wrong value, or meaning of the parameter
+    vital: bool = False  # whether the vehicle must not take off with a wrong value
+    bits: bool = False  # whether `values` are bits, each of which must be set
+    versions: tuple[int, int] | None = None  # first and last flight_sw_version that need it; None: all versions
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a parameter was found to be, under the name that it answered to; None when it did not answer."""
+    """Value of a parameter that the autopilot reported, and the name under which it did; None: no answer."""
 
     wanted: Wanted
     name: str
@@ -65,7 +65,7 @@ class Reading:
 
     @property
     def expected(self) -> str:
-        """The values that are right, in words."""
+        """The right values, in words."""
         if self.wanted.bits:
             return f"{sum(self.wanted.values):g}, or any number with that bit set"
         return " or ".join(f"{v:g}" for v in self.wanted.values)
@@ -79,21 +79,23 @@ class Reading:
 class _Asked:
     times: int = 0
     at: float = -math.inf
-    name: str = ""  # that it answered to
+    name: str = ""  # the name under which the autopilot answered; "": no answer yet
     raw: bytes = b""
     value: float = 0.0
     type: int = 0
 
 
 class Parameters:
-    """Polled until `done`. `bytewise` is how this firmware sends integers, where it does not say."""
+    """Reader of the required parameters; poll it until it is `done`.
+
+    `bytewise`: whether integers arrive as raw bytes, if the autopilot does not report its encoding."""
 
     def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
         self._asked = {w: _Asked() for w in wanted}
         self._names = {name: w for w in wanted for name in (w.name, *w.older)}
         self._bytewise = bytewise
         self._version: int | None = None  # AUTOPILOT_VERSION.flight_sw_version
-        self._asked_version = 0  # how often it was asked for
+        self._asked_version = 0  # number of requests for AUTOPILOT_VERSION
 
     def take(self, message: Message) -> None:
         """Take one of the vehicle's messages."""
@@ -112,7 +114,7 @@ class Parameters:
                     asked.raw = _first_field(bytes(message.get_msgbuf()))
 
     def poll(self, link: Link, now: float) -> None:
-        """Ask for what has not answered yet."""
+        """Request the parameters that have not been received yet."""
         if link.vehicle is None:
             return
         if self._version is None:
@@ -144,14 +146,14 @@ class Parameters:
         return self._version is not None and first <= self._version <= last
 
     def again(self) -> None:
-        """Ask anew for what is not right."""
+        """Read the parameters that were wrong or missing again."""
         for reading in self.readings:
             if not reading.right:
                 self._asked[reading.wanted] = _Asked()
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """All parameters that matter in this version, as far as they have answered."""
+        """Readings of all parameters that this firmware version needs."""
         return tuple(
             Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None)
             for w, a in self._asked.items()
@@ -160,7 +162,7 @@ class Parameters:
 
     @property
     def differences(self) -> tuple[Reading, ...]:
-        """Those that are not right, what is vital first."""
+        """Readings that are wrong or missing, the vital ones first."""
         wrong = [r for r in self.readings if not r.right]
         return tuple(sorted(wrong, key=lambda r: not r.wanted.vital))
 
@@ -172,17 +174,19 @@ class Parameters:
 
 
 class Review:
-    """The parameters before a take-off: read, again as long as some differ, for somebody who mends them, and told of
-    once. What is vital forbids the take-off only where there is no remote control either: somebody or something must
-    be able to land the vehicle when the agent is dead."""
+    """Check of the parameters before a take-off.
+
+    As long as some are wrong, they are read again, in case somebody corrects them. Each difference is reported once. A
+    wrong vital parameter forbids the take-off only if there is no remote control either, because a pilot or a failsafe
+    must be able to land the vehicle if the agent dies."""
 
     def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
         self._parameters = Parameters(wanted, bytewise)
         self._differences: tuple[Reading, ...] = ()
         self._reread = -math.inf
         self._told: tuple[str, ...] = ()
-        self._piloted = False  # whether the autopilot hears a remote control
-        self.known = False  # whether all were read, or do not answer
+        self._piloted = False  # whether the autopilot receives a remote control
+        self.known = False  # whether each parameter was read, or does not answer
 
     def take(self, message: Message) -> None:
         """Take one of the vehicle's messages."""
@@ -191,7 +195,7 @@ class Review:
             self._piloted = message.chancount > 0
 
     def poll(self, link: Link, now: float) -> None:
-        """Ask for what is missing."""
+        """Request the missing parameters, and those that were wrong every REREAD seconds."""
         self._parameters.poll(link, now)
         if self._parameters.done(now):
             self.known, self._differences = True, self._parameters.differences
@@ -202,7 +206,7 @@ class Review:
 
     @property
     def forbids(self) -> str:
-        """What differs that forbids a take-off, and the way out, in words."""
+        """Wrong vital parameters that forbid the take-off, with the remedy, in words; "" if none does."""
         vital = self._vital
         return f"{vital} ({WAY_OUT})" if vital and not self._piloted else ""
 
@@ -222,5 +226,7 @@ class Review:
 
 
 def _first_field(frame: bytes) -> bytes:
-    """The four bytes of PARAM_VALUE's value: as a float they may be a NaN, whose bits do not survive a conversion."""
+    """Return the raw bytes of PARAM_VALUE.param_value.
+
+    They may be an integer whose bits form a NaN as a float; converting that would change the bits."""
     return frame[10:14] if frame[0] == 0xFD else frame[6:10]

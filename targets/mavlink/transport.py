@@ -1,4 +1,4 @@
-"""Ways to an autopilot's bytes: UDP, TCP and serial, never blocking, surviving silence, refusal and unplugging."""
+"""Non-blocking transports to an autopilot: UDP, TCP, serial. They reconnect after silence, refusal and unplugging."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from koordgen.runtime.vehicle.platform import Unready
 Address = tuple[Any, ...]
 Chunk = tuple[bytes, Address | None]
 
-BUDGET = 16384  # bytes read in one call: far above what an autopilot sends, and a bound on what a flood costs
-FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0  # seconds before a broken connection is opened anew: doubled until it answers
-SILENT = 3.0  # seconds after which a connection on which nothing comes is given up: half a MAVLink link is none
-REPLUG = 0.5  # seconds between two attempts to open a device anew
-_GONE = (OSError, ValueError, TypeError, termios.error)  # what pyserial raises when a device vanishes under it
+BUDGET = 16384  # maximum bytes read in one call: far more than an autopilot sends, but limits the cost of a flood
+FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0  # seconds before a broken connection is reopened; doubled until data arrives
+SILENT = 3.0  # seconds without received data after which a TCP connection is closed and reopened
+REPLUG = 0.5  # seconds between two attempts to reopen a device
+_GONE = (OSError, ValueError, TypeError, termios.error)  # exceptions of pyserial when a device is unplugged
 HINT = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Where a frame would be written now, for another process that must be able to: the descriptor, and the address on
-    an unconnected socket. `opening` counts how often it was opened: descriptors are given out anew."""
+    """Destination to which another process, the watchdog, can write frames.
+
+    `descriptor`: open file descriptor. `address`: destination on an unconnected socket. `opening`: number of times that
+    the connection was opened, because a descriptor may be reused for another connection."""
 
     opening: int
     descriptor: int
@@ -36,27 +38,27 @@ class Way:
 
 
 class Transport(Protocol):
-    """Bytes to and from an autopilot. Only `opened` below raises."""
+    """Transport of bytes to and from an autopilot. Its methods do not raise; only the function `opened` does."""
 
-    datagrams: bool  # whether what arrives comes as datagrams of whole frames, or as a stream
+    datagrams: bool  # True: data arrives as datagrams of whole frames; False: as a byte stream
 
     def receive(self, now: float) -> list[Chunk]:
         """Return received datagrams with the sender's address, if any; at most about BUDGET bytes."""
         ...
 
     def answer(self, source: Address | None) -> None:
-        """Send to this address from now on: the vehicle spoke from there."""
+        """Send to this address from now on, because the vehicle has sent from there."""
         ...
 
     def send(self, data: bytes) -> bool:
-        """Send one frame, or drop it and return False when it cannot be taken now."""
+        """Send one frame. If it cannot be sent now, drop it and return False."""
         ...
 
     def close(self) -> None: ...
 
 
 class Udp:
-    """A UDP socket: bound (`udpin`, answers whoever the vehicle is) or sending to a fixed address (`udpout`)."""
+    """UDP transport: bound to a port, answering the vehicle's address (`udpin`), or with a fixed peer (`udpout`)."""
 
     datagrams = True
 
@@ -93,7 +95,7 @@ class Udp:
             self._peer = source
 
     def way(self) -> Way | None:
-        """None while it is not known to whom."""
+        """Return the destination; None while the vehicle's address is unknown."""
         return None if self._peer is None else Way(0, self._socket.fileno(), self._peer)
 
     def send(self, data: bytes) -> bool:
@@ -110,21 +112,21 @@ class Udp:
 
 
 class Tcp:
-    """A TCP client that connects, and connects again, in the background. `make` is socket.socket."""
+    """TCP client that connects and reconnects without blocking. `make`: socket.socket, replaced in tests."""
 
     datagrams = False
 
     def __init__(self, peer: Address, family: int, make: Callable[..., socket.socket] = socket.socket) -> None:
         self._peer, self._family, self._make = peer, family, make
         self._socket: socket.socket | None = None
-        self._retry = float("-inf")  # when to connect
-        self._wait = FIRST_WAIT  # before the next attempt but this
-        self._heard = 0.0  # when something came last, or the connection was begun
+        self._retry = float("-inf")  # earliest time of the next attempt to connect
+        self._wait = FIRST_WAIT  # seconds to wait after the next failure
+        self._heard = 0.0  # time of the last received data, or of the attempt to connect
         self._unsent = b""
         self._openings = 0
 
     def way(self) -> Way | None:
-        """None while there is no connection."""
+        """Return the destination; None while there is no connection."""
         return None if self._socket is None else Way(self._openings, self._socket.fileno())
 
     def receive(self, now: float) -> list[Chunk]:
@@ -175,7 +177,7 @@ class Tcp:
     def send(self, data: bytes) -> bool:
         if self._socket is None or len(self._unsent) > 4096:
             return False
-        data = self._unsent + data  # a frame that was cut goes first
+        data = self._unsent + data  # the rest of a partly sent frame goes first
         try:
             sent = self._socket.send(data)
         except BlockingIOError:
@@ -192,7 +194,7 @@ class Tcp:
 
 
 class Serial:
-    """A serial device, opened again when it was unplugged."""
+    """Serial transport; the device is reopened after it was unplugged."""
 
     datagrams = False
 
@@ -204,11 +206,11 @@ class Serial:
         self._port: Any = self._opened()
 
     def way(self) -> Way | None:
-        """None while it is unplugged."""
+        """Return the destination; None while the device is unplugged."""
         return None if self._port is None else Way(self._openings, self._port.fileno())
 
     def _opened(self) -> Any:
-        import serial  # only robots with a serial link pay for it
+        import serial  # imported only for serial links
 
         self._openings += 1
         return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
@@ -244,11 +246,11 @@ class Serial:
             self._unsent = self._unsent[self._write(self._unsent) :]
         written = 0 if self._unsent else self._write(data)
         if written:
-            self._unsent = data[written:]  # what was cut goes first, or its half would spoil the next; no more is kept
+            self._unsent = data[written:]  # to be sent first, else the next frame would be corrupted
         return written > 0
 
     def _write(self, data: bytes) -> int:
-        # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
+        # pyserial's own non-blocking write would spin, and never return, while the device accepts no bytes.
         try:
             return os.write(self._port.fileno(), data)
         except _GONE:
@@ -260,7 +262,7 @@ class Serial:
 
 
 def opened(url: str) -> Udp | Tcp | Serial:
-    """Open a transport. Raises Unready: a URL that is none, a port in use, no such device."""
+    """Open the transport of a URL. Raises Unready if the URL is wrong, the port is in use, or there is no device."""
     scheme, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")
     if scheme not in ("udpin", "udpout", "tcp", "serial") or not place or not number.isdecimal():

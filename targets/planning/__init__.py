@@ -1,6 +1,6 @@
-"""Planning for all vehicles: paths around obstacles, in a process of its own.
+"""Path planning for all vehicles: paths around obstacles, computed in a separate process.
 
-Owns: rooms and their obstacles, planners, exact distances, the planner's process, what is told of no progress.
+Owns: free space and obstacles, planners, exact distances, the planner's process, detection of missing progress.
 Offers: `process.Planning`, `world` and `room` to planners of users.
 Must not import: any target.
 """

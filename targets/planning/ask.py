@@ -1,5 +1,6 @@
-"""Asks a planner, and believes nothing: what is infeasible is not asked for, and no path goes out that was not checked
-against all obstacles, exactly, whoever planned it."""
+"""Judge of a planner: rejects infeasible questions, and checks each path exactly against all obstacles.
+
+No unchecked path is returned, whichever planner computed it."""
 
 from __future__ import annotations
 
@@ -15,18 +16,20 @@ from targets.planning.pipe import Answer, Question
 from targets.planning.room import InRoom, Room, fixed, room
 from targets.planning.world import Path, Planner, Scene, World
 
-MOST_POINTS = 1000
-ROUNDING = 1e-9  # metres
+MOST_POINTS = 1000  # maximum number of points of a path
+ROUNDING = 1e-9  # metres by which a point may be outside of the arena because of rounding
 
-NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # besides a user's own, as "module:Class"
+NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # built-in planners; a user's own is "module:Class"
 
 
 class BadPlanner(Exception):
-    """A planner that cannot be made; the message says why."""
+    """Raised if a planner cannot be created; the message gives the reason."""
 
 
 class Judge(Protocol):
-    """What stands between a planner and its robot; made with the planner's name and a World. Raises BadPlanner then."""
+    """Interface of a judge, which calls a planner and checks its paths.
+
+    It is created with the planner's name and a World; that may raise BadPlanner."""
 
     def serve(self, question: Question) -> Answer: ...
 
@@ -46,7 +49,7 @@ def make(name: str, world: World) -> Planner:
     if name in NAMES:
         if name == "rrt-star" and own_trees.is_needed():
             raise BadPlanner(own_trees.NEEDS_OMPL)
-        from targets.planning.rrt import PLANNERS  # its packages are loaded by who plans alone
+        from targets.planning.rrt import PLANNERS  # imported here, so that only planner processes load its packages
 
         return PLANNERS[name](world)
     module, _, member = name.partition(":")
@@ -61,7 +64,7 @@ def make(name: str, world: World) -> Planner:
 
 
 class Asked:
-    """A planner behind its judge. `answer` never raises for what a planner does. Raises BadPlanner."""
+    """Judge with its planner; creation raises BadPlanner. `answer` does not raise, whatever the planner does."""
 
     def __init__(self, name: str, world: World) -> None:
         self._world = world
@@ -69,12 +72,12 @@ class Asked:
         self._planner = make(name, world)
 
     def serve(self, question: Question) -> Answer:
-        """Return what the planner's process does."""
+        """Return the answer to a question that the planner's process received."""
         path, reason = self.answer(question.start, question.goal, question.scene, question.seconds)
         return Answer(question.number, path, reason)
 
     def answer(self, start: Point, goal: Point, scene: Scene, seconds: float) -> tuple[Path, str]:
-        """Return a path, or () and, unless there simply is no way, the reason for people."""
+        """Return a path and "", or () and the reason in words; the reason is "" if the planner found no path."""
         world = self._world
         if not world.flies:
             start, goal = Point(start.x, start.y, 0.0), goal
@@ -92,13 +95,13 @@ class Asked:
         return ((), f"the planner's path was refused: {reason}") if reason else (tuple(path), "")
 
     def _planned(self, here: Room, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
-        if isinstance(self._planner, InRoom):  # one that comes along: what a large scene takes is spent once
+        if isinstance(self._planner, InRoom):  # built-in planners reuse the Room: a large scene is prepared once
             return self._planner.plan_in(here, start, goal, seconds)
         return self._planner.plan(start, goal, scene, seconds)
 
 
 def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:
-    """Why there can be no path, in words; "" when there may be one."""
+    """Return the reason why there can be no path, in words; "" if there may be one."""
     if not finite(start) or not finite(goal):
         return "start or goal is not finite"
     if world.flies and goal.z <= 0.0:
@@ -115,7 +118,7 @@ def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:
 
 
 def misled(world: World, here: Room, start: Point, goal: Point, path: Any) -> str:
-    """Return what is wrong with an answer, in words; "" when it may be followed."""
+    """Return what is wrong with a planner's path, in words; "" if it may be followed."""
     if not isinstance(path, (tuple, list)) or not all(isinstance(p, Point) and finite(p) for p in path):
         return "it is no tuple of finite Points"
     if not 2 <= len(path) <= MOST_POINTS:

@@ -1,8 +1,10 @@
-"""The planner's own process: `python child.py FOLDER...`, started by `process.py`. FOLDERs are where modules are.
+"""Planner process: `python child.py FOLDER...`, started by `process.py`. FOLDERs are searched for modules.
 
-It is told which planner to be, then answers one question after the other, until its standard input ends, which the end
-of the agent, however it comes, brings about. A planner that does not return is ended by the system's own alarm, also
-when it lets no other thread run and the agent is gone.
+The process receives an order that names the planner, then answers questions until its standard input ends. That happens
+at the agent's end, however it ends.
+
+If a planner does not return, the system's alarm signal ends the process, even if the planner lets no other thread run
+and the agent has died.
 """
 
 from __future__ import annotations
@@ -11,13 +13,13 @@ import os
 import signal
 import sys
 
-HANGING = 2.0  # seconds beyond its time after which a call ends the process
+HANGING = 2.0  # seconds that a call may exceed its time before the alarm ends the process
 
 
 def main() -> None:
-    """Serve the agent. Returns when it is gone."""
+    """Serve the agent until it has ended."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # what a user's planner prints goes elsewhere
+    os.dup2(2, 1)  # output that a user's planner prints goes to standard error
     import msgspec
 
     from targets.planning.ask import BadPlanner, Judge, judging
@@ -62,4 +64,4 @@ if __name__ == "__main__":
         pass
     finally:
         sys.stderr.flush()
-        os._exit(0)  # not a user's threads and exit handlers
+        os._exit(0)  # without waiting for threads and exit handlers of a user's planner

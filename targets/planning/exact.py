@@ -1,10 +1,11 @@
-"""How far a straight line is from an obstacle: the least distance in closed form, to rounding, never from samples.
+"""Exact distance of a line segment from a solid obstacle: exact but for rounding, not sampled.
 
-Along a segment, parametrised by t in [0, 1], the distance to a convex body is a convex function. For a box its square
-is made of at most seven quadratics; for an upright cylinder of pieces that are linear, the distance to a line, or
-smooth, where the zero of the derivative is found by bisection to the last bit. What is returned is the distance of a
-point that does lie on the segment, so no answer is below the truth by more than its own rounding; of a segment that
-goes into a body it is 0. Metres, local ENU. Meshes are in `mesh.py`.
+Along a segment, parametrised by t in [0, 1], the distance to a convex body is a convex function. For a box, its square
+consists of at most seven quadratics. For an upright cylinder, its pieces are linear, or the distance to a line, or
+smooth; in a smooth piece, the zero of the derivative is found by bisection to the last bit.
+
+The result is the distance of a point that lies on the segment. So it is below the true distance by no more than its own
+rounding. If the segment enters the body, the distance is 0. Metres, local ENU. Meshes are in `mesh.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from koordgen.runtime.values.geometry import segment_distance
 from koordgen.runtime.values.obstacles import Block, Cylinder, Sphere
 from koordgen.runtime.values.points import Point
 
-BISECTIONS = 60  # of an interval within [0, 1]: more than a float has digits
+BISECTIONS = 60  # bisection steps of an interval within [0, 1]: more than a float has bits
 
 Solid = Block | Sphere | Cylinder
 
@@ -76,7 +77,7 @@ def _cylinder(body: Cylinder, a: Point, b: Point) -> float:
         return math.hypot(max(0.0, outside), max(0.0, -up, up - height))
 
     def rising(t: float) -> bool:
-        """Return whether the distance grows there, where the place is both beside and above (or below)."""
+        """Return whether the distance grows with t, at a place both beside and above (or below) the cylinder."""
         px, py, up = x + t * dx, y + t * dy, z + t * dz
         axis = math.hypot(px, py)
         return (axis - radius) / axis * (px * dx + py * dy) + (up if up < 0 else up - height) * dz > 0

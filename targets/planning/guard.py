@@ -1,4 +1,4 @@
-"""Keeps a body from being sent too near to what stands in the fleet file: for paths that no planner has checked."""
+"""Check that commanded paths, which no planner has checked, keep their distance from the fleet file's obstacles."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from koordgen.runtime.values.points import Point, distance
 from targets.planning.room import Room, fixed
 from targets.planning.world import Path
 
-HERE = 0.1  # m from the body within which a path's first points count as the place where it is
+HERE = 0.1  # m; first points of a path that are nearer to the vehicle than this are skipped
 
 
 class Guard:
-    """Checks ways of a body's reference point, which keeps a distance from each obstacle: the sum of `parts`, in
-    metres by their names.
+    """Check of paths of a vehicle's reference point. The distance to keep is the sum of `parts` (m, by name).
 
-    A body that is nearer to an obstacle may leave: the first part of its way comes no nearer than it is, but for a
-    twentieth. From there on the way keeps the largest distance that the body has had since it came too near, again but
-    for a twentieth. So targets that creep towards an obstacle are refused."""
+    A vehicle that is nearer to an obstacle than that may leave. On the first leg of its path, it must keep 95 % of its
+    present distance. On later legs, it must keep 95 % of the largest distance that it has had since it came too near.
+    So targets that creep towards an obstacle are refused."""
 
     def __init__(self, obstacles: Iterable[Obstacle], parts: Mapping[str, float]) -> None:
         self._standing = fixed(obstacles)
         self._kept = sum(parts.values())
         self._rule = " + ".join(f"{name} {value:g}" for name, value in parts.items())
-        self._near: dict[str, float] = {}  # distances kept from obstacles that the body is too near to, by names
+        self._near: dict[str, float] = {}  # reduced distances to keep from obstacles that are too near, by name
 
     def trouble(self, position: Point, path: Path) -> str:
-        """Why the way from `position`, where the body is, along these points must not be gone, in words; "" when it
-        may be. The test is exact."""
+        """Return why the path from `position`, the vehicle's, along these points is refused, in words; "" if it is not.
+
+        The test is exact."""
         if not self._standing:
             return ""
         here = Room(position)
@@ -52,5 +52,5 @@ class Guard:
             away, name = here.nearest(a, b)
             if name:
                 way = f"from ({a.x:.2f}, {a.y:.2f}, {a.z:.2f}) to ({b.x:.2f}, {b.y:.2f}, {b.z:.2f})"
-                return f"the way {way} comes within {away:.2f} m of {name}; {self._kept:g} m are kept: {self._rule}"
+                return f"the path {way} comes within {away:.2f} m of {name}; {self._kept:g} m are kept: {self._rule}"
         return ""

@@ -1,14 +1,16 @@
-"""When a planner is to stop."""
+"""Limit of a planner's work: by time or by iterations."""
 
 from __future__ import annotations
 
 import time
 
-STARTS = 6  # searches when iterations bound the work
+STARTS = 6  # maximum number of searches if iterations limit the work
 
 
 class Limit:
-    """After so many seconds, or, with `iterations`, after so many in each search. OMPL asks it in each iteration."""
+    """Limit of `seconds`, or, if given, of `iterations` in each search. Callable: True once the limit is reached.
+
+    OMPL calls it in each iteration."""
 
     def __init__(self, seconds: float, iterations: int | None) -> None:
         self._end = time.perf_counter() + seconds
@@ -20,7 +22,7 @@ class Limit:
         return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
 
     def later(self, seconds: float) -> Limit:
-        """Return another limit with the same beginning, after so many seconds if these are more."""
+        """Return a limit with the same beginning that ends after `seconds`, or with this one if that is later."""
         found = Limit(seconds, self._iterations)
         found._begun = self._begun
         found._end = max(self._end, self._begun + seconds)
@@ -31,7 +33,7 @@ class Limit:
         return self._iterations is None and time.perf_counter() > self._end
 
     def spent(self, turn: int) -> bool:
-        """Return whether no further search is to begin, after `turn` of them: one more would not end in time."""
+        """Return whether, after `turn` searches, another one would not end in time."""
         if self._iterations is not None:
             self._done = 0
             return turn >= STARTS

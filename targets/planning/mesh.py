@@ -1,9 +1,10 @@
-"""How far a straight line is from a surface of triangles: all of them at once, in closed form, to rounding.
+"""Distance of a line segment from a triangle mesh, in closed form, exact but for rounding, vectorised with numpy.
 
-The least distance of a segment from a triangle is 0 where it goes through, or lies between the segment and one of the
-three sides, or between one of its ends and the triangle's inside, square above. Each of these is the distance of two
-points that do lie on the two, as in `koordgen.runtime.values.geometry`, whose way of two segments is taken here for
-many. A few triangles are measured one by one instead, which is sooner done.
+The distance of a segment from a triangle is 0 if the segment passes through it. Otherwise it is the least of these: the
+distances of the segment from the three sides, and the distances of its ends from the triangle's plane, for each end
+whose projection onto the plane is inside the triangle. Each is the distance of two points that lie on segment and
+triangle, computed as in `koordgen.runtime.values.geometry`. Up to FEW triangles are measured one by one, which is
+faster than numpy.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from koordgen.runtime.values.geometry import segment_distance
 from koordgen.runtime.values.obstacles import Mesh
 from koordgen.runtime.values.points import Point
 
-FEW = 12  # triangles
+FEW = 12  # number of triangles up to which they are measured one by one
 
 Array = NDArray[np.float64]
 
 
 class Surface:
-    """A mesh, made ready: `low` and `high` are the corners of the box around it."""
+    """Mesh prepared for distance queries. `low` and `high` are the corners of the box around it."""
 
     def __init__(self, mesh: Mesh) -> None:
         vertices = np.array([(p.x, p.y, p.z) for p in mesh.vertices])
@@ -34,8 +35,9 @@ class Surface:
         self._triangles = [Triangle(*(mesh.vertices[i] for i in face)) for face in mesh.faces]
 
     def distance(self, a: Point, b: Point, within: float = math.inf) -> float:
-        """The least distance of the segment ab from the surface, in metres; some value above `within`, which may be
-        infinite, when it is more than that."""
+        """Return the distance (m) of the segment ab from the surface.
+
+        If the distance is more than `within`, return any value above `within`, possibly infinity."""
         start, end = np.array((a.x, a.y, a.z)), np.array((b.x, b.y, b.z))
         low, high = np.minimum(start, end) - within, np.maximum(start, end) + within
         near = ((self._low <= high) & (self._high >= low)).all(axis=1)
@@ -46,18 +48,18 @@ class Surface:
 
 
 class Triangle:
-    """One of few: its corners, and its plane as the places p with normal . p = offset."""
+    """Single triangle: its corners, and its plane, which is the set of places p with normal . p = offset."""
 
     def __init__(self, a: Point, b: Point, c: Point) -> None:
         self._corners = (a, b, c)
         u, v = b - a, c - a
         normal = Point(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x)
         square = _inner(normal, normal)
-        self._normal = normal / math.sqrt(square) if square > 0 else None  # None: it is nothing but its sides
+        self._normal = normal / math.sqrt(square) if square > 0 else None  # None: it has no area
         self._offset = _inner(self._normal, a) if self._normal is not None else 0.0
 
     def distance(self, a: Point, b: Point, within: float) -> float:
-        """As `Surface.distance`."""
+        """Return the distance of the segment ab, as `Surface.distance`."""
         p, q, r = self._corners
         normal, best = self._normal, math.inf
         if normal is not None:
@@ -71,7 +73,7 @@ class Triangle:
         return min(best, segment_distance(p, q, a, b), segment_distance(q, r, a, b), segment_distance(r, p, a, b))
 
     def _over(self, place: Point) -> bool:
-        """Return whether a place is square above or below the inside."""
+        """Return whether the projection of a place onto the triangle's plane is inside the triangle."""
         assert self._normal is not None
         corners = self._corners
         for p, q in zip(corners, (*corners[1:], corners[0]), strict=True):
@@ -89,12 +91,12 @@ def _inner(p: Point, q: Point) -> float:
 
 
 def _least(corners: Array, start: Array, d: Array) -> float:
-    """Of triangles (n, 3, 3) from the segment start + t d."""
+    """Return the least distance of triangles (n, 3 corners, 3) from the segment start + t d, 0 <= t <= 1."""
     first, sides = corners, np.roll(corners, -1, axis=1) - corners
     best = float(_segments(start, d, first.reshape(-1, 3), sides.reshape(-1, 3)).min())
     normal = np.cross(sides[:, 0], sides[:, 1])
     square = _dot(normal, normal)
-    flat = square > 0  # one without area is nothing but its sides
+    flat = square > 0  # a triangle without area consists of its sides only
     if not flat.any():
         return math.sqrt(best)
     corners, sides, normal, square = corners[flat], sides[flat], normal[flat], square[flat]
@@ -121,8 +123,9 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 
 
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
-    """Return the squared distances of one segment, start + s d, from many, first + t e: see
-    `koordgen.runtime.values.geometry`."""
+    """Return the squared distances of the segment start + s d from many segments first + t e.
+
+    See `koordgen.runtime.values.geometry`."""
     w = first - start
     n = np.cross(d, e)
     square = _dot(n, n)

@@ -1,8 +1,10 @@
-"""OMPL's trees of straight lines in a box: RRT-Connect and RRT*.
+"""RRT-Connect and RRT* of OMPL: trees of straight edges in a box.
 
-OMPL samples and grows the trees; whether a straight line is clear is ours, and exact, so a tree's edges need no
-padding and are not looked at in steps. Of OMPL's Python binding only these calls are relied on (version 2.0.1, where
-out-parameters stay empty; a test holds that they work): `RealVectorStateSpace`, `RealVectorBounds.setLow/setHigh`,
+OMPL samples and grows the trees. Our own exact test decides whether an edge is clear, so edges need no padding and are
+not checked in steps.
+
+Of OMPL's Python binding (version 2.0.1, where out-parameters stay empty), only these calls are used, and a test checks
+that they work: `RealVectorStateSpace`, `RealVectorBounds.setLow/setHigh`,
 `setBounds`, `allocState`, states' `[i]`, `SpaceInformation` with `setStateValidityChecker`, `setMotionValidator` and
 `setup`, `MotionValidator` as a base class, `ProblemDefinition.setStartAndGoalStates/hasExactSolution/getSolutionPath`,
 `RRTConnect`, `RRTstar`, `setProblemDefinition`, `setup`, `solve`, `PlannerTerminationCondition` of a callable,
@@ -22,7 +24,7 @@ from targets.planning.room import Room
 
 
 class OmplTrees:
-    """Searches in the box from `low` to `high`; if `flat`, in the plane at low.z."""
+    """Searches of OMPL in the box from `low` to `high`; if `flat`, in the plane at low.z."""
 
     def __init__(self, low: Point, high: Point, flat: bool, seed: int | None) -> None:
         util.setLogLevel(util.LogLevel.LOG_NONE)
@@ -40,14 +42,14 @@ class OmplTrees:
         return self._search(geometric.RRTConnect, here, start, goal, over, turn)
 
     def improve(self, here: Room, start: Point, goal: Point, over: Limit) -> list[Point] | None:
-        """Return the corners that RRT* finds, which goes on improving its tree for as long as there is time."""
+        """Return the corners that RRT* finds; it improves its tree until the limit ends it."""
         return self._search(geometric.RRTstar, here, start, goal, over, 0)
 
     def _search(self, kind: Any, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
         if self._seed is not None:
             util.RNG.setSeed(self._seed * STARTS + turn + 1)
         information = base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: True)  # the ends of every line are looked at with the line
+        information.setStateValidityChecker(lambda state: True)  # an edge's ends are checked with the edge
         validator = _Lines(information, here, self._point)
         information.setMotionValidator(validator)
         information.setup()

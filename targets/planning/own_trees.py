@@ -13,18 +13,19 @@ from koordgen.runtime.values.points import Point, distance
 from targets.planning.limit import STARTS, Limit
 from targets.planning.room import Room
 
-LONGEST = 0.2  # of the arena's diagonal: an edge, as in OMPL
+LONGEST = 0.2  # maximum length of a tree's edge, as a share of the arena's diagonal; the same as in OMPL
 NEEDS_OMPL = "the planner rrt-star needs OMPL, which has no wheel for this Python; take rrt-smoothed, or Python 3.13"
 
 
 def is_needed() -> bool:
-    """Return whether this Python has no wheel of OMPL, and no OMPL that was built here either. With Python 3.13 and
-    earlier a missing OMPL is a package to install."""
+    """Return whether OMPL has no wheel for this Python and was not built on this computer either.
+
+    With Python 3.13 and earlier, return False: a missing OMPL is then a package to install."""
     return sys.version_info >= (3, 14) and importlib.util.find_spec("ompl") is None
 
 
 class OwnTrees:
-    """Searches in the box from `low` to `high`; if `flat`, in the plane at low.z."""
+    """RRT-Connect in the box from `low` to `high`; if `flat`, in the plane at low.z."""
 
     def __init__(self, low: Point, high: Point, flat: bool, seed: int | None) -> None:
         self._low, self._high, self._flat, self._seed = low, high, flat, seed
@@ -53,8 +54,9 @@ class OwnTrees:
         return Point(dice.uniform(low.x, high.x), dice.uniform(low.y, high.y), z)
 
     def _extended(self, tree: list[tuple[Point, int]], to: Point, here: Room) -> tuple[int | None, bool]:
-        """Grow a tree towards a place by one edge: the index of its new end, None if the way is blocked; and whether
-        that end is the place."""
+        """Grow a tree towards a place by one edge.
+
+        Return the index of the new node, None if the edge is blocked; and whether the new node is the place."""
         near = min(range(len(tree)), key=lambda k: distance(tree[k][0], to))
         at = tree[near][0]
         away = distance(at, to)
@@ -67,7 +69,7 @@ class OwnTrees:
 
 
 def _back(tree: list[tuple[Point, int]], at: int) -> list[Point]:
-    """Return the places from one of a tree to its root."""
+    """Return the places from a tree's node to its root."""
     found = []
     while at >= 0:
         place, at = tree[at]

@@ -1,4 +1,4 @@
-"""What goes through the pipes between an agent and its planner's process: MessagePack behind its length."""
+"""Messages between an agent and its planner's process: MessagePack with a length prefix, through pipes."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import msgspec
 from koordgen.runtime.values.points import Point
 from targets.planning.world import Path, Scene, World
 
-HEAD = 4  # bytes of a length, big-endian
-LONGEST = 1 << 24  # bytes of a message; what says that it is longer is none
+HEAD = 4  # bytes of the length prefix, big-endian
+LONGEST = 1 << 24  # maximum bytes of a message; a larger length is an error
 
 
 class Order(msgspec.Struct, frozen=True, array_like=True):
-    """The first message to the child: which planner to be."""
+    """First message to the child process: the planner to create."""
 
-    name: str
+    name: str  # name of a built-in planner, or "module:Class"
     world: World
-    judge: str  # "module:Class" that asks the planner, as `targets.planning.ask:Asked` does
+    judge: str  # "module:Class" that calls the planner and checks its paths, such as `targets.planning.ask:Asked`
 
 
 class Question(msgspec.Struct, frozen=True, array_like=True):
-    """A call; its answer has its number."""
+    """Call of the planner. Its answer has the same number."""
 
     number: int
     start: Point
     goal: Point
     scene: Scene
     seconds: float
-    more: bytes = b""  # what a target's own judge is told besides
+    more: bytes = b""  # further data for a target's own judge
 
 
 class Answer(msgspec.Struct, frozen=True, array_like=True):
-    """To the order (number 0: an empty reason when the planner was made) or to a question."""
+    """Answer to a question, or to the order (number 0; an empty reason means that the planner was created)."""
 
     number: int
     path: Path
     reason: str
-    more: bytes = b""  # what it tells besides
+    more: bytes = b""  # further data from a target's own judge
 
 
 def framed(message: Order | Question | Answer) -> bytes:
@@ -47,13 +47,13 @@ def framed(message: Order | Question | Answer) -> bytes:
 
 
 class Unframed:
-    """Bytes as they come, to messages. Raises ValueError for what is no message."""
+    """Splitter of a byte stream into messages. Raises ValueError for an impossible length."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
     def take(self, data: bytes) -> Iterator[bytes]:
-        """The messages that end within these bytes."""
+        """Yield the messages that these bytes complete."""
         self._waiting += data
         while len(self._waiting) >= HEAD:
             end = HEAD + int.from_bytes(self._waiting[:HEAD], "big")

@@ -1,5 +1,4 @@
-"""Planning beside the agent: the interface that platforms use, and the two who serve it, in a process of their own or
-in this one."""
+"""Planner interface for platforms, and its two implementations: in a child process, or in the agent's own process."""
 
 from __future__ import annotations
 
@@ -23,15 +22,15 @@ from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World
 
-JUDGE = "targets.planning.ask:Asked"  # unless a target has one of its own
-SHARE = 0.7  # of the budget that a planner is given: the rest is for pipes and for the check of its path
-PATIENCE = 1.0  # seconds after which a planner that has not answered is ended and begun anew
-STARTING = 30.0  # seconds that a planner may take to be made: a slow board loads its packages for some
-PAUSE = 1.0  # seconds between two starts of a process, at least
+JUDGE = "targets.planning.ask:Asked"  # default judge; a target may have its own
+SHARE = 0.7  # share of the time budget that the planner gets; the rest is for pipes and for the check of its path
+PATIENCE = 1.0  # seconds without an answer after which a planner's process is killed and restarted
+STARTING = 30.0  # seconds within which a planner must be created; a slow board needs some seconds to load its packages
+PAUSE = 1.0  # minimum seconds between two starts of a process
 
 
 class Planning(Protocol):
-    """A planner as a platform sees it. `start`, then `poll` often, `plan` or `ask` once it is `ready`, `close`."""
+    """Interface of a planner to a platform: `start`, then `poll` often; `plan` or `ask` once `ready`; `close`."""
 
     ready: bool
 
@@ -43,7 +42,7 @@ class Planning(Protocol):
     def start(self) -> None: ...
 
     def poll(self) -> None:
-        """Never waits. Raises Unready when the planner could not be made at the start."""
+        """Process answers without blocking. Raises Unready if the planner could not be created at the start."""
         ...
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
@@ -51,11 +50,13 @@ class Planning(Protocol):
         ...
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
-        """Ask without waiting; False when it cannot be done now. What the question before comes to is dropped."""
+        """Send a question without waiting for the answer. Return False if that is not possible now.
+
+        An answer to an earlier question is dropped."""
         ...
 
     def answer(self) -> Answer | None:
-        """Return what came last, to `ask` or, with all that was told besides, to `plan`; the same is told once."""
+        """Return the last answer to `ask` or `plan`, once; None if there is no new one."""
         ...
 
     def news(self) -> list[str]:
@@ -66,7 +67,7 @@ class Planning(Protocol):
 
 
 def made(planning: Planning, sleep: Callable[[float], None]) -> None:
-    """Start it and wait until it is ready. Raises Unready."""
+    """Start a planner and wait until it is ready. Raises Unready."""
     planning.start()
     for _ in range(round(STARTING / 0.05)):
         planning.poll()
@@ -77,8 +78,9 @@ def made(planning: Planning, sleep: Callable[[float], None]) -> None:
 
 
 class News:
-    """Lines for the log. What keeps a call from its path is told once, until another call gets one; numbers in it make
-    no other reason of it."""
+    """Log lines of a planner. The same reason for a failed call is logged once, until another call succeeds.
+
+    Reasons that differ only in their numbers count as the same."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
@@ -88,7 +90,7 @@ class News:
         self._lines.append(line)
 
     def called(self, reason: str) -> None:
-        """How a call went; "": well."""
+        """Record the result of a call: the reason of its failure, or "" if it succeeded."""
         kind = re.sub(r"[-\d.]+", "", reason)
         if not reason:
             self._known.clear()
@@ -102,7 +104,7 @@ class News:
 
 
 class Inside:
-    """In the agent's own process: for a simulator that owns time, with `iterations` in its World, and for tests."""
+    """Planner in the agent's own process, for tests, and for simulators that control time (with `iterations`)."""
 
     def __init__(self, name: str, world: World, budget: float, judge: str = JUDGE) -> None:
         self._name, self._world, self._budget, self._judge = name, world, budget, judge
@@ -119,7 +121,7 @@ class Inside:
         self.ready = True
 
     def poll(self) -> None:
-        """Nothing goes on between calls."""
+        """Do nothing, since each call completes at once."""
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         if not self.ask(start, goal, scene, more, SHARE * self._budget) or self._answer is None:
@@ -145,14 +147,16 @@ class Inside:
 
 
 def bounded(inside: Surroundings, name: str, world: World, budget: float, judge: str = JUDGE) -> Inside:
-    """Return a planner whose answers depend on nothing but its questions."""
+    """Return a deterministic planner: seeded, and limited by iterations instead of time."""
     world = msgspec.structs.replace(world, seed=inside.seed, iterations=inside.iterations)
     return Inside(name, world, budget, judge)
 
 
 class Beside:
-    """In a child process. A call waits for `budget` seconds at most; an answer that comes later is dropped. The child
-    is begun anew when it has died, or has not answered for PATIENCE. `folders` are where it finds modules."""
+    """Planner in a child process.
+
+    A call waits for `budget` seconds at most; a later answer is dropped. The child is restarted if it has died, or has
+    not answered for PATIENCE seconds. `folders`: where the child finds modules."""
 
     def __init__(
         self,
@@ -166,21 +170,21 @@ class Beside:
         self._order, self._budget = Order(name, world, judge), budget
         self._folders, self._clock = folders, clock
         self._child: subprocess.Popen[bytes] | None = None
-        self._killed: list[subprocess.Popen[bytes]] = []  # until they have ended
+        self._killed: list[subprocess.Popen[bytes]] = []  # killed children that have not ended yet
         self._incoming = Unframed()
-        self._outgoing = b""  # what the child has not taken yet
-        self._into = self._from = -1  # its standard input, and what it answers on
-        self._begun = 0.0  # when the present child was started
-        self._made = False  # whether a planner was made once: then a child that dies is replaced
+        self._outgoing = b""  # bytes that are not yet written to the child
+        self._into = self._from = -1  # descriptors of the child's standard input and output
+        self._begun = 0.0  # start of the present child
+        self._made = False  # whether a planner was created once; if so, a child that dies is replaced
         self._number = 0
-        self._asked_at: float | None = None  # when the question was asked that has not been answered yet
+        self._asked_at: float | None = None  # time of the pending question
         self._answer: Answer | None = None
         self._news = News()
         self.ready = False
 
     @property
     def pid(self) -> int:
-        """Of the child; 0: there is none."""
+        """Process id of the child; 0 if there is none."""
         return self._child.pid if self._child is not None else 0
 
     @property
@@ -189,12 +193,12 @@ class Beside:
         return self._asked_at is not None
 
     def start(self) -> None:
-        """Start the process; it is ready when it has loaded its packages."""
+        """Start the child process; it is ready once it has loaded its packages."""
         child = FilePath(__file__).with_name("child.py")
         command = [sys.executable, "-B", str(child), *map(str, self._folders)]
         self._begun = self._clock()
         try:
-            # A session of its own: Ctrl-C in the agent's terminal is the agent's business.
+            # Its own session, so that Ctrl-C in the agent's terminal reaches the agent only.
             self._child = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
             )
@@ -235,7 +239,7 @@ class Beside:
                 select.select([self._from], [self._into] if self._outgoing else [], [], left)
                 self._send()
                 self._receive()
-        except BaseException:  # an event that is out of time is ended wherever it is: half a message may be gone
+        except BaseException:  # an event whose time is up is interrupted anywhere, perhaps after half a message
             self._lose("was interrupted in a call")
             raise
         return self._judged(self._answer, start, goal)
@@ -284,7 +288,7 @@ class Beside:
         return self._asked_at is not None and self._answer is None
 
     def _send(self) -> None:
-        """Write what the child takes at once of what it has not yet got."""
+        """Write as many of the pending bytes as the child's pipe accepts now."""
         while self._outgoing:
             try:
                 self._outgoing = self._outgoing[os.write(self._into, self._outgoing) :]
@@ -294,7 +298,7 @@ class Beside:
                 self._lose("ended by itself")
 
     def _receive(self) -> None:
-        """Take what has come, without waiting."""
+        """Process the child's answers that have arrived, without waiting."""
         while self._child is not None:
             try:
                 data = os.read(self._from, 1 << 16)
@@ -319,7 +323,7 @@ class Beside:
             self._answer, self._asked_at = answer, None
 
     def _lose(self, why: str) -> None:
-        """The child is of no use any more. The first of all must have come to be a planner; later ones are replaced."""
+        """End a failed child, which is replaced later. Raises Unready if no planner was ever created."""
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
@@ -336,4 +340,4 @@ class Beside:
             if end is not None:
                 with suppress(OSError):
                     end.close()
-        self._killed.append(child)  # to wait for its end, some milliseconds, would keep the agent
+        self._killed.append(child)  # not waited for here: that would block the agent for some milliseconds

@@ -1,9 +1,11 @@
-"""Where a robot may go: the obstacles of one question, each with the distance to be kept from it.
+"""Free space of one planning question: its obstacles, each with the distance to keep from it.
 
-What stands nearer to the start than that is kept at nearly the distance that it has there: a robot may leave a tight
-place. It keeps a least distance where it has that at the start: a way that is asked for again and again from ever
-nearer places would come as near as can be otherwise. The answer to "is this straight line clear" is exact (`exact.py`,
-`mesh.py`): of all obstacles, those whose box comes near the line's are measured.
+If the start is nearer to an obstacle than that distance, the distance is lowered to LEAVING times the start's, so that
+a robot can leave a tight place. It is not lowered below a least distance, if the start has that. Otherwise paths that
+are planned again and again, from ever nearer places, could come arbitrarily near.
+
+The test whether a straight line is clear is exact (`exact.py`, `mesh.py`). Only obstacles whose bounding box is near
+the line's are measured.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from targets.planning.exact import Solid, solid_distance
 from targets.planning.mesh import Surface
 from targets.planning.world import Path, Scene, World
 
-LEAVING = 0.95  # of the distance that the start has from what is too near: so much is kept on the way out
-HIGH = 1e5  # metres: how far what is as high as anything reaches up and down
-MANY = 48  # obstacles from which on numpy finds those that are near sooner than a loop does
+LEAVING = 0.95  # share of the start's distance from an obstacle that is too near, which is kept while leaving
+HIGH = 1e5  # metres to which infinitely high obstacles reach up and down
+MANY = 48  # number of obstacles above which numpy finds the near ones faster than a loop
 
 Measure = Callable[[Point, Point, float], float]
 Bounds = tuple[float, float, float, float, float, float]  # west, south, bottom, east, north, top
@@ -34,8 +36,10 @@ Bounds = tuple[float, float, float, float, float, float]  # west, south, bottom,
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """An obstacle with a box around it. `distance(a, b, within)` is that of the segment ab, exactly; when it is above
-    `within`, any such value. `name` is for people."""
+    """Obstacle with its bounding box.
+
+    `distance(a, b, within)` is the exact distance of the segment ab, or any value above `within` if that is more than
+    `within`. `name` is for messages."""
 
     low: Point
     high: Point
@@ -48,9 +52,10 @@ class Thing:
 
 
 class Room:
-    """What is to be kept away from on the way from `start`, and how far. `inside` names the first that contains the
-    start, and so cannot be kept away from; else it is "". `lowered` has the distances that are kept from what is too
-    near to the start, by names."""
+    """Obstacles of a path from `start`, and the distances to keep from them.
+
+    `inside`: name of the first obstacle that contains the start; "" if none does.
+    `lowered`: lowered distances of the obstacles that are too near to the start, by name."""
 
     def __init__(self, start: Point) -> None:
         self._start = start
@@ -60,8 +65,10 @@ class Room:
         self.lowered: dict[str, float] = {}
 
     def keep(self, things: Iterable[Thing], kept: float, least: float = 0.0) -> None:
-        """Keep so many metres away from these; from one that is nearer to the start, nearly what it has there, but no
-        less than `least` if it has that."""
+        """Add obstacles from which to keep the distance `kept` (m).
+
+        If the start is nearer to one, keep LEAVING times the start's distance, but no less than `least` if the start
+        has that."""
         at = self._start
         for thing in things:
             bounds, margin = thing.grown(kept), kept
@@ -91,7 +98,7 @@ class Room:
         return all(thing.distance(a, b, kept) >= kept for kept, thing in self._near(a, b))
 
     def nearest(self, a: Point, b: Point) -> tuple[float, str]:
-        """Of those that the line comes too near to the nearest: its distance and name; (inf, "") when it is clear."""
+        """Return distance and name of the nearest obstacle that the line is too near to; (inf, "") if it is clear."""
         found = ((thing.distance(a, b, kept), kept, thing.name) for kept, thing in self._near(a, b))
         return min(((d, name) for d, kept, name in found if d < kept), default=(math.inf, ""))
 
@@ -123,15 +130,16 @@ def _overlap(bounds: Bounds, west: float, east: float, south: float, north: floa
 
 
 def fixed(obstacles: Iterable[Obstacle]) -> list[Thing]:
-    """Those of the fleet file, named by their number in it."""
+    """Return the fleet file's obstacles, named by their number in it."""
     return [_thing(obstacle, f"obstacle {number}") for number, obstacle in enumerate(obstacles)]
 
 
 def room(world: World, standing: Iterable[Thing], scene: Scene, start: Point) -> Room:
-    """What is to be kept away from on the way from `start`; `standing` are the world's obstacles, made by `fixed`."""
+    """Return the room of a path from `start`. `standing`: the world's obstacles, made by `fixed`."""
     found = Room(start)
     found.keep(standing, world.kept, world.least)
-    stuck = found.inside  # of what a program names, what it stands in is left out: it was seen wrongly, or is itself
+    # A program's obstacle that contains the start does not count: it is an error, or the robot itself.
+    stuck = found.inside
     found.keep(_columns(scene, world.kept, start), world.kept)
     for path in scene.others:
         found.keep(_capsules(path), world.radius + world.kept)
@@ -162,8 +170,10 @@ def _surface(surface: Surface, around: Block, a: Point, b: Point, within: float)
 
 
 def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:
-    """Grids and points, as high as anything. Cells that touch are one obstacle, but for those that the start is near
-    to: the robot may leave these, not the whole wall."""
+    """Yield a scene's grids and points as infinitely high obstacles.
+
+    Touching cells are joined to one obstacle. Cells near the start stay single, because the lowered distance of an
+    obstacle near the start must apply to these cells only, and not to a whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     for grid in scene.grids:
         x, y, size = grid.x, grid.y, grid.size
@@ -185,9 +195,10 @@ def _column(west: float, south: float, east: float, north: float) -> Thing:
 
 
 def rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int]]:
-    """The same cells as rectangles (x, y, and behind the last of each): runs along a row, joined with equal ones of the
-    row before."""
-    grown: dict[tuple[int, int], int] = {}  # run (x, behind) in the row before -> where its rectangle begins
+    """Yield the cells as rectangles (first x, first y, last x + 1, last y + 1).
+
+    They are runs of cells along a row, joined with equal runs of the row before."""
+    grown: dict[tuple[int, int], int] = {}  # run (first x, last x + 1) in the row before -> first y of its rectangle
     last = 0
     rows: dict[int, list[int]] = {}
     for x, y in cells:
@@ -203,7 +214,7 @@ def rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int
 
 
 def _capsules(path: Path) -> Iterator[Thing]:
-    """Another robot's path, part by part."""
+    """Yield the segments of another robot's path as obstacles."""
     for p, q in pairwise(path if len(path) != 1 else path * 2):
         low = Point(min(p.x, q.x), min(p.y, q.y), min(p.z, q.z))
         high = Point(max(p.x, q.x), max(p.y, q.y), max(p.z, q.z))
@@ -216,6 +227,6 @@ def _apart(p: Point, q: Point, a: Point, b: Point, within: float) -> float:
 
 @runtime_checkable
 class InRoom(Protocol):
-    """A planner that takes a Room for what is to be kept away from."""
+    """Planner that accepts a prepared Room instead of a Scene."""
 
     def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path: ...

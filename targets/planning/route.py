@@ -1,4 +1,4 @@
-"""What is left of a commanded path: the goal to make for now, and those behind it."""
+"""Remaining part of a commanded path: the present goal, and the goals after it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from koordgen.runtime.values.geometry import segment_distance
 from koordgen.runtime.values.points import Point
 
-AS_NEAR = 0.05  # metres by which a later leg must be nearer to a robot than an earlier one
+AS_NEAR = 0.05  # metres by which a later leg must be nearer to the robot to count as the nearest
 
 
 def commanded(actuators: Mapping[str, Any], modules: Iterable[str]) -> list[tuple[Point, ...]]:
-    """Return the paths among written actuators of these modules; a target is a path of one point."""
+    """Return the paths commanded by writes to these modules' actuators; a target is a path of one point."""
     found: list[tuple[Point, ...]] = []
     for module in modules:
         if (name := f"{module}.target") in actuators:
@@ -24,14 +24,17 @@ def commanded(actuators: Mapping[str, Any], modules: Iterable[str]) -> list[tupl
 
 
 def passed(points: tuple[Point, ...], position: Point) -> int:
-    """How many points of a path are behind a robot that was somewhere on the path: those before the nearest leg's end.
-    Of legs that are as near, the earliest."""
+    """Return how many points of a path a robot has passed: those before the end of the leg nearest to it.
+
+    Of legs that are about equally near (AS_NEAR), the earliest counts."""
     away = [segment_distance(position, position, a, b) for a, b in pairwise(points)]
     return 1 + next(i for i, d in enumerate(away) if d <= min(away) + AS_NEAR) if away else 0
 
 
 class Route:
-    """`goal` is None when nothing was commanded. A single target is a path of one point."""
+    """Commanded path of one robot. `goal`: the present goal, None without a command.
+
+    A single target is a path of one point."""
 
     def __init__(self) -> None:
         self.goal: Point | None = None
@@ -39,7 +42,9 @@ class Route:
         self._ahead: tuple[Point, ...] = ()
 
     def take(self, points: tuple[Point, ...]) -> bool:
-        """Follow these instead. False when they are being followed already, which changes nothing; none means: stay."""
+        """Follow these points from now on; without points, stay.
+
+        Return False, and change nothing, if they are being followed already."""
         if points == self._commanded and self.goal is not None:
             return False
         self._commanded = points
@@ -52,12 +57,12 @@ class Route:
         return not self._ahead
 
     def skip(self, count: int) -> None:
-        """So many goals are behind the robot; the last one stays."""
+        """Skip `count` goals, but never the last one."""
         for _ in range(count):
             self.passed()
 
     def passed(self) -> Point | None:
-        """The present goal is behind the robot: make for the next, which is returned; the last one stays."""
+        """Advance to the next goal, if there is one, and return the present goal."""
         if self._ahead:
             self.goal, self._ahead = self._ahead[0], self._ahead[1:]
         return self.goal

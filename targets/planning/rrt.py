@@ -1,6 +1,6 @@
-"""The planners that come along: RRT-Connect, the same made short, RRT*, and straight ahead.
+"""Built-in planners: RRT-Connect, RRT-Connect with shortened paths, RRT*, and the straight line.
 
-The trees are OMPL's (ompl_trees.py); where OMPL has no wheel, they are our own (own_trees.py), without RRT*.
+The trees are OMPL's (ompl_trees.py). Where OMPL has no wheel, they are our own (own_trees.py), without RRT*.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from targets.planning.limit import Limit
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import Path, Planner, Scene, World
 
-TRIES = 8  # at shortening a path, per corner, before another is looked for
-ENOUGH = 1.002  # a path so little longer than the straight line is short enough
-FLAT = 1e-6  # metres: a lower arena is a plane
+TRIES = 8  # random short cuts that are tried per point of a path before another path is searched for
+ENOUGH = 1.002  # ratio of a path's length to the straight line's, up to which no shorter path is searched for
+FLAT = 1e-6  # metres; an arena of less height is planned as a plane
 
 
 class Trees(Protocol):
-    """Searches for corners between two places of the arena."""
+    """Interface of a tree search between two places of the arena."""
 
     def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
-        """Return the corners between start and goal that RRT-Connect finds; None without a path. `turn` numbers the
-        searches of a question: each has random numbers of its own."""
+        """Return the corners between start and goal that RRT-Connect finds; None if there is no path.
+
+        `turn`: number of the search within a question; each search has its own random numbers."""
         ...
 
 
 class Rrt:
-    """RRT-Connect's first path."""
+    """Planner that returns RRT-Connect's first path."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -67,8 +68,10 @@ class Rrt:
         return self._whole(found, here, start, goal)
 
     def _whole(self, between: list[Point] | None, here: Room, start: Point, goal: Point) -> Path:
-        """The path with its ends. A position's noise can put the start outside the arena: from there, the robot may
-        come back in."""
+        """Return the corners with start and goal added; () if there are none, or if the path is not clear.
+
+        Position noise can put the start outside of the arena. The path then enters the arena at the nearest place, if
+        the direct line to the first corner is not clear."""
         if between is None:
             return ()
         path = (start, *between, goal)
@@ -88,7 +91,7 @@ class Rrt:
 
 
 class RrtSmoothed(Rrt):
-    """RRT-Connect's paths, each shortened by random short cuts; the shortest that was found in the time."""
+    """Planner that shortens RRT-Connect's paths by random short cuts, and returns the shortest found in the time."""
 
     def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         dice = random.Random(self._world.seed)
@@ -107,7 +110,7 @@ class RrtSmoothed(Rrt):
 
 
 class RrtStar(Rrt):
-    """RRT*: goes on improving its tree for as long as there is time. It needs OMPL."""
+    """Planner with RRT*, which improves its tree as long as there is time. It needs OMPL."""
 
     def __init__(self, world: World) -> None:
         from targets.planning.ompl_trees import OmplTrees
@@ -121,7 +124,7 @@ class RrtStar(Rrt):
 
 
 class Straight:
-    """The straight line when it is clear, and nothing else."""
+    """Planner that returns the straight line if it is clear, else no path."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -149,8 +152,10 @@ def length(path: Path) -> float:
 
 
 def shortened(path: Path, here: Room, dice: random.Random, over: Limit, holds: Callable[[Point], bool]) -> Path:
-    """The path with corners left out and cut off, as far as the lines instead are clear. Every place of it but the
-    start is held by a convex arena; where the start is not, its line into the arena gets no new corner outside."""
+    """Return the path shortened by clear short cuts, which remove corners or cut them off.
+
+    `holds`: whether a place is in the arena. The arena is convex, so short cuts stay in it. Only the start may be
+    outside; then no new corner is placed on the part of the path that is outside."""
     points = _reduced(list(path), here)
     for _ in range(TRIES * len(points)):
         if len(points) < 3 or over.late:
@@ -165,7 +170,7 @@ def shortened(path: Path, here: Room, dice: random.Random, over: Limit, holds: C
 
 
 def _reduced(points: list[Point], here: Room) -> list[Point]:
-    """Without the corners that the straight line between their neighbours makes needless."""
+    """Remove each corner whose neighbours have a clear straight line between them."""
     i = 1
     while i < len(points) - 1:
         if here.clear(points[i - 1], points[i + 1]):

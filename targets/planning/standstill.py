@@ -1,4 +1,4 @@
-"""No progress: a vehicle that should move and stays where it is, pressed against an obstacle for example."""
+"""Detection of missing progress: a vehicle that should move but stands, for example pressed against an obstacle."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ import math
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.platform import Unready
 
-# Seconds without motion after which a vehicle counts as standing still: longer than an autopilot may seem not to follow
-# setpoints (`targets.quad.motion.motion.UNFOLLOWED`), which has a message of its own.
+# Seconds without motion after which a vehicle counts as standing still. It is longer than
+# `targets.quad.motion.motion.UNFOLLOWED`, so that an autopilot that ignores setpoints gets its own message first.
 NO_PROGRESS = 8.0
-MOVED = 0.1  # m that count as motion
-SAME_PLACE = 0.3  # m from where a vehicle stood still within which the next time is in the same place
+MOVED = 0.1  # m; a larger displacement counts as motion
+SAME_PLACE = 0.3  # m between two standstills that count as being at the same place
 
 
 class Standstill:
-    """Watches one vehicle, which takes the fleet file's `missed_action` when it stands still: with "rest" it comes to
-    rest for good. With "hold" it brakes and looks for another way; a second time in the same place it holds until the
-    next command, and `holding` says why."""
+    """Standstill detector of one vehicle. `action`: the fleet file's `missed_action`, taken at a standstill.
+
+    "rest": the vehicle makes its safe stop.
+    "hold": the vehicle brakes, and another path is planned. At the second standstill at the same place, the vehicle
+    holds until the next command; `holding` gives the reason."""
 
     def __init__(self, action: str) -> None:
         self._action = action
-        self._moved: tuple[Point, float] | None = None  # where and when the vehicle moved last, or had no reason to
-        self._last: Point | None = None  # where it stood still last
+        self._moved: tuple[Point, float] | None = None  # place and time of the last motion or command
+        self._last: Point | None = None  # place of the last standstill
         self._news: list[str] = []
         self.holding = ""
 
@@ -32,8 +34,9 @@ class Standstill:
         self.holding = ""
 
     def look(self, position: Point, moves: bool, goal: str, now: float) -> bool:
-        """Return whether the vehicle must brake; `moves` says that it is commanded to move, `goal` where to. Raises
-        Unready where it is to come to rest."""
+        """Return whether the vehicle must brake. Raises Unready if it must make its safe stop.
+
+        `moves`: whether it is commanded to move. `goal`: its goal in words."""
         if not moves or self._moved is None or distance(position, self._moved[0]) > MOVED:
             self._moved = position, now
             return False
@@ -44,9 +47,9 @@ class Standstill:
         place = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         line = f"no progress for {NO_PROGRESS:g} s at {place} on the way to {goal}"
         if self._action == "rest":
-            raise Unready(line, "see what blocks it; it comes to rest because missed_action is rest")
+            raise Unready(line, "see what blocks the vehicle; it stops because missed_action is rest")
         if not again:
-            self._news.append(f"{line}: braking, and looking for another way")
+            self._news.append(f"{line}: braking, and looking for another path")
         else:
             self.holding = f"{line}, twice: holding until the next command"
             self._news.append(self.holding)
@@ -58,21 +61,22 @@ class Standstill:
         return said
 
 
-# Calls of the program's planner that found no way: a robot that has nothing else to do stands because of them.
+# Failed calls of the program's planner. A robot that has nothing else to do stands because of them.
 
-FORGOTTEN = 5.0  # seconds after which a call no longer says what the program wants
-# Vehicles on the ground and in the air share their tasks by asking for all of them: these answers are no stall.
+FORGOTTEN = 5.0  # seconds after which a failed call no longer counts as the reason for standing
+# Answers that are no stall: in a mixed fleet, each robot may ask for a path to every task, and leaves the tasks on the
+# ground or in the air to vehicles of the other kind.
 ANOTHERS = ("the goal is not on the ground", "the goal is not above the ground")
 
 
 class Unplanned:
-    """Times in seconds on the platform's clock."""
+    """Record of the program's last call of the planner if that found no path. Times: s on the platform's clock."""
 
     def __init__(self) -> None:
         self._why, self._at = "", -math.inf
 
     def called(self, goal: Point, reason: str, now: float) -> None:
-        """Record a call of the planner for a way to `goal`; `reason` is empty when it found one."""
+        """Record a call of the planner for a path to `goal`; `reason` is empty if it found one."""
         found = not reason or reason in ANOTHERS
         self._why, self._at = "" if found else f"the planner's goal {_placed(goal)} {reason}", now
 
@@ -81,7 +85,7 @@ class Unplanned:
         self._why = ""
 
     def why(self, now: float) -> str:
-        """Return the reason why the robot has no way; "" when it has one, or no longer asks."""
+        """Return the reason why the robot has no path; "" if it has one, or no longer asks for one."""
         return self._why if now - self._at <= FORGOTTEN else ""
 
 

@@ -116,13 +116,13 @@ def test_no_take_off_with_an_autopilot_that_would_not_land_when_the_agent_dies()
     rig.quad.start(rig.now)
     rig.run(12.0)
     assert rig.quad.progress == (
-        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else it does not land when the agent dies (set it by a ground "
-        "station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` takes off all "
-        "the same)"
+        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else the vehicle does not land when the agent dies (set it "
+        "by a ground station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` "
+        "takes off all the same)"
     )
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and not sent(rig, SET)
     (found,) = (f for f in rig.agent().diagnose() if f.name == "FS_GCS_ENABLE")
-    assert (found.state, found.found, found.wanted) == ("fail", "0", "5") and "it does not land" in found.why
+    assert (found.state, found.found, found.wanted) == ("fail", "0", "5") and "does not land" in found.why
     params["FS_GCS_ENABLE"] = 5.0  # somebody mends it
     assert rig.run(20.0, lambda: rig.quad.ready)
 
@@ -161,8 +161,9 @@ def test_what_does_not_forbid_a_take_off_is_told_once() -> None:
     rig.fly()
     (told,) = (said for said in rig.progress if "parameters" in said)
     assert told.endswith(
-        "parameters of the autopilot differ: FS_GCS_ENABLE is 1, wanted 5: else it does not land when the agent dies; "
-        "LAND_REPOSITION is 1, wanted 0: else it waits for a pilot after landing, and does not disarm"
+        "parameters of the autopilot differ: FS_GCS_ENABLE is 1, wanted 5: else the vehicle does not land when "
+        "the agent dies; LAND_REPOSITION is 1, wanted 0: else the vehicle waits for a pilot after landing, and does "
+        "not disarm"
     )
     assert not sent(rig, SET)
 
@@ -175,8 +176,8 @@ def test_what_differs_is_told_while_there_is_no_estimate_yet() -> None:
     rig.quad.start(rig.now)
     rig.run(3.0)
     assert rig.quad.progress == (
-        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else it "
-        "does not fly without a remote control"
+        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else the "
+        "vehicle does not fly without a remote control"
     )
     rig.autopilot.copter.params["FS_THR_ENABLE"] = 0.0
     assert rig.run(50.0, lambda: rig.quad.ready)

@@ -1,4 +1,4 @@
-"""Base of the car.
+"""Base of the car target: what all of its other rooms use.
 
 Owns: the kinematic bicycle model, the car's settings.
 Offers: `bicycle`, `settings.CarSettings`.

@@ -1,4 +1,4 @@
-"""The kinematic bicycle: how the car moves. Its reference point, in the whole target, is the rear axle's middle.
+"""Kinematic bicycle model of the car. The car's reference point in this target is the middle of the rear axle.
 
 Formulas: S. M. LaValle, Planning Algorithms (2006), section 13.1.2.1, the simple car:
 x' = v cos(yaw), y' = v sin(yaw), yaw' = v tan(steering) / wheelbase.
@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Where the car is and how it moves: metres, radians (yaw counter-clockwise from east), m/s, radians."""
+    """State of the bicycle model, in local ENU."""
 
-    x: float
-    y: float
-    yaw: float
-    speed: float = 0.0
-    steering: float = 0.0
+    x: float  # m
+    y: float  # m
+    yaw: float  # rad, counter-clockwise from east
+    speed: float = 0.0  # m/s, negative in reverse
+    steering: float = 0.0  # rad, positive to the left
 
     def finite(self) -> bool:
         """Return whether all fields are finite."""
@@ -27,10 +27,10 @@ class State:
 
 
 def advance(state: State, seconds: float, wheelbase: float) -> State:
-    """Return the state after driving on with constant speed and steering: exact, an arc of a circle."""
+    """Return the state after driving for `seconds` with constant speed and steering: exactly, along a circular arc."""
     travel = state.speed * seconds
     turn = travel * math.tan(state.steering) / wheelbase
-    # The chord of an arc of this length: the ratio sin(h)/h stays exact for a straight line, where h is 0.
+    # The chord of an arc of length `travel` is travel * sin(half) / half; on a straight line, half is 0, the ratio 1.
     half = turn / 2
     chord = travel * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
     heading = state.yaw + half

@@ -1,4 +1,4 @@
-"""The car's own settings: the `body` table of its settings.json, typed and checked."""
+"""Settings of one car: the `body` table of its settings.json, typed and checked."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import msgspec
 from koordgen.runtime.vehicle.platform import Unready
 from targets.car.base.bicycle import turning_radius
 
-# Paths are planned with less steering than the car has: the controller needs the rest to correct errors on a curve.
+# Share of the steering limit that planned paths use. The controller needs the rest to correct errors on a curve.
 PLANNED_STEERING = 0.9
-FROM_DRIVE = "rover"  # `position`: the drive's own, a rover's EKF
+FROM_DRIVE = "rover"  # value of the setting `position`: the position is the estimate of the rover's own EKF
 
 
 class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Metres, radians, seconds; what each means is said once, in manifest.toml. The defaults are the same there."""
+    """Settings of one car, in metres, radians and seconds.
+
+    manifest.toml documents each setting, and has the same defaults."""
 
     drive: str = "vesc:/dev/ttyACM0"
     position: str = "udp:0.0.0.0:47300"
@@ -52,7 +54,9 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def steering_limit(self) -> float:
-        """The angle, radians, that both sides allow: a VESC's servo range (0 to 1) may end before the wheels'."""
+        """Largest steering angle (rad) that is possible to both sides.
+
+        It is less than `max_steering` if the servo of a VESC reaches the end of its range (0 to 1) first."""
         if self.is_rover:
             return self.max_steering
         room = min(self.steering_to_servo_offset, 1.0 - self.steering_to_servo_offset)
@@ -60,12 +64,12 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def planned_radius(self) -> float:
-        """The smallest turning radius, metres, that a planned path may have."""
+        """Smallest turning radius (m) of planned paths."""
         return turning_radius(PLANNED_STEERING * self.steering_limit, self.wheelbase)
 
 
 def decode(body: Mapping[str, Any]) -> CarSettings:
-    """Return the settings of one car. Raises Unready, naming the key."""
+    """Return the settings of one car. Raises Unready, which names the wrong setting."""
     try:
         settings = msgspec.convert(dict(body), CarSettings)
     except msgspec.ValidationError as error:
@@ -81,10 +85,10 @@ def decode(body: Mapping[str, Any]) -> CarSettings:
         )
     if settings.position == FROM_DRIVE and not settings.is_rover:
         hint = "write `drive: rover:URL`, or `position: udp:HOST:PORT` for the feed of a base station"
-        raise Unready("the car's settings: position is rover, but the drive is none", hint)
+        raise Unready("the car's settings: position is rover, but the drive is not a rover", hint)
     if settings.is_rover and settings.max_speed > settings.full_speed:
         raise Unready(
             f"the car's settings: max_speed {settings.max_speed:g} is more than full_speed {settings.full_speed:g}",
-            "measure full_speed, what the rover does at full throttle, or lower max_speed",
+            "measure full_speed, the rover's speed at full throttle, or lower max_speed",
         )
     return settings

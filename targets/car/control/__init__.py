@@ -1,6 +1,6 @@
-"""Control: from a planned path to a speed and a steering angle.
+"""Control of the car: computes speed and steering commands that follow a planned path.
 
-Owns: MPC with its solver, tracking, the navigator, state estimation, the braking check at the fence, motor lag.
+Owns: MPC with its solver, path tracking, the navigator, state estimation, the braking check at the geofence, motor lag.
 Offers: `navigator.Navigator`, `mpc.Mpc`.
 Must not import: `drive`, `platform`.
 """

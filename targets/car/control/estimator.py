@@ -1,7 +1,8 @@
-"""Where the car is between two samples of its position source: the bicycle runs on, samples pull it back.
+"""Pose estimator of the car: the bicycle model predicts, samples of the position source correct.
 
-A complementary filter: cheap, without a noise model to tune, and the drive's own speed makes it free of lag. Samples
-that no motion explains are refused. Frame: local ENU; the point is the middle of the rear axle.
+It is a complementary filter: cheap, and without a noise model to tune. The prediction uses the speed that the drive
+measures, so the estimate has no lag. Samples that jump, farther than any motion explains, are rejected. Frame: local
+ENU; the point is the middle of the rear axle.
 """
 
 from __future__ import annotations
@@ -13,21 +14,25 @@ from dataclasses import replace
 from koordgen.runtime.values.points import Pose
 from targets.car.base.bicycle import State, advance, turning_radius, wrap
 
-SMOOTHING = 0.056  # seconds, the time constant of place and heading: a gain of 0.3 at a feed's 50 Hz
-# Seconds of positions through which a line is laid when speed has to be taken from them: at 50 Hz and a noise of 5 mm
-# the slope's is 0.014 m/s, and a car that stands is seen to stand; it is late by half of them.
+SMOOTHING = 0.056  # seconds, time constant of the correction of position and yaw: a gain of 0.3 at a feed's 50 Hz
+# Seconds of positions from which the speed is estimated by a line fit if the drive measures none. At 50 Hz, a noise of
+# 5 mm in the positions gives a noise of 0.014 m/s in the speed, so a standing car is seen to stand. The speed is late
+# by half of this time.
 SPEED_WINDOW = 0.3
-# A sample is a jump when it is farther from where the car should be than these, and what a car that slides or is
-# pushed goes and turns in the time since the last believed one. Of a silence no more than WHILE counts.
+# A sample is a jump if it is farther from the prediction than JUMP + (speed limit + SLIDE) * t, or its yaw differs by
+# more than YAW_JUMP + (limit of the yaw rate + SPIN) * t. Here t is the time since the last accepted sample, WHILE at
+# most. SLIDE and SPIN allow for a car that slides or is pushed.
 JUMP, YAW_JUMP = 0.3, 0.5  # metres, radians
 SLIDE, SPIN = 1.0, 2.0  # m/s, rad/s
 WHILE = 0.5  # seconds
-WHEEL_FRESH = 0.25  # seconds for which a speed of the drive is used
+WHEEL_FRESH = 0.25  # seconds for which a measured speed counts as current
 
 
 class Estimator:
-    """One car's estimate; at most `speed_limit` m/s and `steering_limit` radians are driven. Times are seconds on the
-    agent's clock. `time` is when the last believed sample was true, None: there has been none."""
+    """Pose and speed estimator of one car. Times are seconds on the agent's clock.
+
+    `speed_limit`, `steering_limit`: largest speed (m/s) and steering angle (rad) that are driven.
+    `time`: time of measurement of the last accepted sample; None before the first."""
 
     def __init__(self, wheelbase: float, speed_limit: float = 1.0, steering_limit: float = 0.4) -> None:
         self._wheelbase = wheelbase
@@ -35,22 +40,22 @@ class Estimator:
         self._turning_limit = speed_limit / turning_radius(steering_limit, wheelbase)
         self._state = State(0.0, 0.0, 0.0)
         self._predicted: float | None = None
-        self._wheel: tuple[float, float] | None = None  # speed, when
-        self._sample: tuple[Pose, float] | None = None
-        self._ways: deque[tuple[float, float]] = deque()  # times, and how far it had gone along its heading by then
-        self._slope = 0.0  # speed from positions, m/s
-        self._refusing: float | None = None  # when the first of the present row of jumps was true
-        self._anew = False
-        self.jumped = 0.0  # metres that the last refused sample was off
+        self._wheel: tuple[float, float] | None = None  # last speed that the drive measured, and its time
+        self._sample: tuple[Pose, float] | None = None  # last accepted sample, and its time
+        self._ways: deque[tuple[float, float]] = deque()  # times, and distances (m) driven along the heading until then
+        self._slope = 0.0  # speed estimated from positions, m/s
+        self._refusing: float | None = None  # time of the first of the successive samples that were rejected as jumps
+        self._anew = False  # whether the next sample is accepted wherever it is
+        self.jumped = 0.0  # metres between the last sample checked for a jump and the prediction
         self.time: float | None = None
 
     @property
     def state(self) -> State:
-        """The estimate: `speed` is measured, `steering` what was commanded."""
+        """Present estimate; its `speed` is measured, its `steering` is the commanded one."""
         return self._state
 
     def wheels(self, speed: float, now: float) -> None:
-        """Take a speed that the drive reports, m/s."""
+        """Process a speed that the drive has measured, m/s."""
         if math.isfinite(speed):
             self._wheel = (speed, now)
 
@@ -63,7 +68,7 @@ class Estimator:
         return None
 
     def predict(self, now: float, steering: float) -> None:
-        """Run on to `now`."""
+        """Predict the state at `now` with the bicycle model."""
         speed = self.speed(now) or 0.0
         self._state = replace(self._state, speed=speed, steering=steering)
         if self._predicted is not None and now > self._predicted:
@@ -71,10 +76,11 @@ class Estimator:
         self._predicted = now
 
     def correct(self, pose: Pose, measured: float, now: float) -> bool:
-        """Take a finite pose that was true at `measured`, after predicting to `now`; False: it is a jump, and
-        refused."""
+        """Correct the estimate by a finite pose measured at time `measured`, after `predict` to `now`.
+
+        Return False if the pose is a jump, and rejected."""
         state = self._state
-        # What was true then is brought to now by the motion since.
+        # The measured pose is moved on by the motion since the measurement.
         since = State(pose.position.x, pose.position.y, pose.yaw, state.speed, state.steering)
         here = advance(since, max(0.0, now - measured), self._wheelbase)
         dx, dy, turned = here.x - state.x, here.y - state.y, wrap(here.yaw - state.yaw)
@@ -97,17 +103,17 @@ class Estimator:
         return far or abs(turned) > YAW_JUMP + (self._turning_limit + SPIN) * seconds
 
     def refused(self, now: float) -> float:
-        """For how many seconds nothing but jumps has come; 0 while samples are believed."""
+        """Return for how many seconds all samples have been rejected as jumps; 0 if the last one was accepted."""
         return 0.0 if self._refusing is None else max(0.0, now - self._refusing)
 
     def begin_anew(self) -> None:
-        """Believe the next sample, wherever it is: the car was carried there."""
+        """Accept the next sample wherever it is, because the car was carried there."""
         self._sample = self._refusing = None
         self._ways.clear()
         self._slope, self._anew = 0.0, True
 
     def _differentiate(self, pose: Pose, measured: float) -> None:
-        """Lay a line through the ways of the last moments (least squares)."""
+        """Estimate the speed by a least-squares line through the driven distances of the last SPEED_WINDOW seconds."""
         way = 0.0
         if self._sample is not None:
             last, before = self._sample

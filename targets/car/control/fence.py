@@ -1,8 +1,8 @@
-"""Braking path of the car after a command, and the check that it ends inside the geofence.
+"""Braking path of the car after a command, and the check that it stays inside the geofence.
 
-The rollout is the kinematic bicycle's (bicycle.py) with the steering held: at the present speed, and at the commanded
-one, for REACTION, then with constant deceleration. Frame: local ENU; the point is the middle of the rear axle, as the
-geofence is about a robot's position.
+The path is a rollout of the kinematic bicycle model (bicycle.py) with constant steering. The car drives for REACTION
+seconds, then brakes with constant deceleration. There are two rollouts: at the present speed and at the commanded one.
+Frame: local ENU. The checked point is the middle of the rear axle, because the geofence limits a robot's position.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from koordgen.runtime.config.settings import Box
 from targets.car.base.bicycle import State, advance
 from targets.car.control.mpc import STEP, Command
 
-LAG = 0.1  # seconds until the motor has followed
-REACTION = STEP + LAG  # seconds: the next look comes a step later
-_PIECE = 0.02  # metres of the way between two places that are looked at
+LAG = 0.1  # seconds until the motor follows a brake command
+REACTION = STEP + LAG  # seconds until the car brakes: the next check is one control step later
+_PIECE = 0.02  # metres between two checked places of the braking path
 
 
 def beyond(fence: Box, x: float, y: float) -> float:
@@ -27,20 +27,23 @@ def beyond(fence: Box, x: float, y: float) -> float:
 
 
 def stops_inside(fence: Box, state: State, command: Command, deceleration: float, wheelbase: float) -> bool:
-    """Whether the car can be braked before it leaves the geofence after this command. `state.speed` is measured. A car
-    that is outside may drive where that brings it no farther out. What is not finite is not driven."""
+    """Return whether the car, after this command, can still brake before it leaves the geofence.
+
+    `state.speed` is measured. A car that is outside already may drive if that takes it no farther out. Return False for
+    a state or command that is not finite."""
     if not state.finite() or not replace(state, speed=command.speed, steering=command.steering).finite():
         return False
     now = beyond(fence, state.x, state.y)
     if now + max(_way(speed, deceleration) for speed in (state.speed, command.speed)) <= 0.0:
-        return True  # no way of this length leads out
+        return True  # the geofence's edge is farther away than the stopping distance
     poses = braked(state, command, deceleration, wheelbase)
     return all(beyond(fence, pose.x, pose.y) <= max(0.0, now) for pose in poses)
 
 
 def braked(state: State, command: Command, deceleration: float, wheelbase: float) -> Iterator[State]:
-    """Yield the poses of the car, 2 or 3 cm apart, if it obeys this command and is then braked until it stands.
-    `state.speed` is measured; all numbers are finite."""
+    """Yield the poses of the braking path, 2 or 3 cm apart, until the car stands.
+
+    `state.speed` is measured. All numbers must be finite."""
     for moving in {state.speed, command.speed}:
         way = _way(moving, deceleration)
         pieces = max(1, round(way / _PIECE))

@@ -1,22 +1,27 @@
-"""Motor lag: how many seconds the measured speed follows the speed that the motor was asked for, measured in motion.
+"""Estimator of the motor's lag: by how many seconds the measured speed follows the commanded speed.
 
-A motor with a first-order lag obeys lag * dv/dt = asked - v. Integrated over a window: lag * (change of v) is the
-integral of (asked - v). The lag is the least-squares solution over the last windows in which the speed changed.
+A motor with a first-order lag obeys lag * dv/dt = asked - v, where v is the speed and `asked` the commanded speed.
+Integrated over a window, lag * (change of v) is the integral of (asked - v). The estimate is the least-squares solution
+over the last windows in which the speed changed.
 """
 
 from __future__ import annotations
 
-LONGEST_LAG = 0.5  # seconds: what the speed loop of a rover and the path controller were made for
-LATE = 0.25  # seconds more that are measured, because the measured speed is late, too
-WINDOW = 0.5  # seconds
-GAP = 0.2  # seconds between two samples at most
-CHANGE = 0.06  # m/s: windows in which the speed changes by less show its noise
-KEPT = 0.95  # of the weight of older windows that each new one leaves them
-ENOUGH, FEWEST = 0.05, 4  # (m/s)^2, and windows: the sum of squared changes from which on the estimate counts
+LONGEST_LAG = 0.5  # seconds; longest lag for which a rover's speed loop and the path controller are designed
+LATE = 0.25  # seconds by which the estimate may exceed the true lag, because the measured speed is delayed, too
+WINDOW = 0.5  # seconds of a window
+GAP = 0.2  # maximum seconds between two samples of a window
+CHANGE = 0.06  # m/s; windows with a smaller change of speed are ignored, because they show noise
+KEPT = 0.95  # factor by which each new window reduces the weight of the older ones
+# The estimate is valid if the weighted sum of squared changes of speed is at least ENOUGH, (m/s)^2, from FEWEST windows
+# or more.
+ENOUGH, FEWEST = 0.05, 4
 
 
 class Lag:
-    """`seconds` is the lag, None until the speed has changed enough. Speeds in m/s, signed; times in seconds."""
+    """Lag estimator. `seconds`: the lag, None until the speed has changed enough.
+
+    Speeds in m/s, signed; times in seconds."""
 
     def __init__(self) -> None:
         self._begin: tuple[float, float] | None = None  # time and speed at the window's begin
@@ -31,11 +36,11 @@ class Lag:
         return max(0.0, self._products / self._squares) if counts else None
 
     def reset(self) -> None:
-        """Begin a new window: the brake, and not the motor, has determined the speed."""
+        """Begin a new window, because the brake, and not the motor, has determined the speed."""
         self._begin = None
 
     def note(self, asked: float, speed: float | None, now: float) -> None:
-        """Take the speed that the motor was asked for and the one measured at the same time; None: nobody knows it."""
+        """Add a sample: the speed commanded to the motor, and the speed measured at the same time (None if unknown)."""
         if speed is None or self._begin is None or not 0.0 < now - self._last[0] <= GAP:
             self._begin = None if speed is None else (now, speed)
             self._last, self._error = (now, 0.0 if speed is None else asked - speed), 0.0
@@ -55,5 +60,5 @@ class Lag:
 
 
 def is_long(lag: float) -> bool:
-    """Return whether a measured lag (s) is longer than LONGEST_LAG for certain."""
+    """Return whether an estimated lag (s) is certainly longer than LONGEST_LAG, despite the estimate's error."""
     return lag > LONGEST_LAG + LATE

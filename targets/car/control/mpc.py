@@ -1,8 +1,10 @@
-"""Model-predictive control of the kinematic bicycle: one small optimisation, solved again at every control step.
+"""Model-predictive control of the kinematic bicycle: a small optimisation problem, solved at every control step.
 
-Horizon 20 steps of 50 ms; what is solved says `solver.problem`, who solves it is chosen here. Speed and steering are
-what was commanded, not measured: the drive and the servo follow setpoints. Whatever a solver answers, the commands are
-made from its inputs by integrating them within the limits, so that none is out of reach of the one before.
+The horizon is 20 steps of 50 ms. Module `solver.problem` defines the problem; this module chooses the solver. Speed and
+steering of the initial state are those last commanded, not measured, because drive and servo follow setpoints.
+
+The commands are computed from the solver's inputs by integration within the limits. So whatever a solver answers, each
+command is reachable from the one before.
 """
 
 from __future__ import annotations
@@ -22,21 +24,24 @@ from targets.car.control.solver.problem import Limits, Solver
 
 __all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "Limits", "Mpc"]
 
-BLIND_STEPS = 5  # so long the plan before stands in when there is no new one
-LATE = STEP  # seconds: a plan that took longer is one for a state that has passed
+BLIND_STEPS = 5  # control steps without a new plan for which the last plan is used; after that, the car brakes
+LATE = STEP  # seconds; a plan that took longer to compute is discarded, because its initial state is outdated
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What to drive in the next step: speed in m/s (negative is reverse), steering in radians (positive to the left).
-    Always finite and within the limits."""
+    """Command for one control step: speed in m/s (negative in reverse), steering in radians (positive to the left).
+
+    Both are finite and within the limits."""
 
     speed: float
     steering: float
 
 
 def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
-    """The solver as C, or CasADi's and why: a line for the log. May compile: seconds, at the first start on a robot."""
+    """Return the compiled C solver and "", or else the CasADi solver and a log line that gives the reason.
+
+    At the first start on a robot, this compiles the solver for some seconds."""
     try:
         return compiled.load(limits, cache), ""
     except NotCompiled as error:
@@ -44,9 +49,13 @@ def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
 
 
 class Mpc:
-    """Steers along references. `failures` counts control steps without a usable plan since the last that had one,
-    `trouble` says why the last had none; `note`, if anything, why the solver is the slower one. `solver` and `clock`
-    (seconds, it times the solver) are for tests."""
+    """Model-predictive controller of one car.
+
+    `failures`: number of successive control steps without a usable plan.
+    `trouble`: reason why the last step had none; "" if it had.
+    `note`: reason why the slower solver is used; "" if the C solver is.
+    `solver`, `clock`: replaced in tests; the clock (s) measures the solver's run time.
+    """
 
     def __init__(
         self, limits: Limits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
@@ -61,22 +70,24 @@ class Mpc:
         self.trouble = ""
 
     def warm_up(self) -> None:
-        """Solve once for nothing: a first solve allocates, which a control step has no time for."""
+        """Solve once in advance, because the first solve allocates, and would be too slow for a control step."""
         self.follow(State(0.0, 0.0, 0.0), [State(0.0, 0.0, 0.0)] * STEPS)
         self.reset()
 
     def reset(self) -> None:
-        """Forget the plan: the car has been stopped by other means."""
+        """Drop the plan, because the car has been stopped by other means."""
         self._inputs = [0.0] * INPUTS * STEPS
         self._plan = []
         self._last = Command(0.0, self._last.steering)
         self.failures = 0
 
     def follow(self, state: State, reference: Sequence[State]) -> Command:
-        """The command of the next step towards `reference`, the states wished for after 1 to 20 steps, whose yaw runs
-        on from the car's without jumps. `state.speed` and `state.steering` are what was commanded last.
+        """Return the command of the next control step.
 
-        Without a new plan in time, the plan before, shifted, stands in for a few steps; then the car brakes.
+        `state`: its speed and steering are those last commanded.
+        `reference`: states wished for after 1 to 20 steps; their yaw is continuous with the car's.
+
+        Without a new plan in time, the last plan, shifted, is used for BLIND_STEPS steps; then the car brakes.
         """
         before = self._last
         if math.isfinite(state.speed) and math.isfinite(state.steering):
@@ -100,14 +111,14 @@ class Mpc:
     def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
         """Return the inputs of a new plan, or why there is none."""
         if not state.finite():
-            return None, "the car's state is no number"
+            return None, "the car's state is not finite"
         if len(reference) != STEPS or not all(r.finite() for r in reference):
-            return None, "the path holds what is no number"
+            return None, "the path's reference states are not finite"
         present = (state.x, state.y, state.yaw, before.speed, before.steering)
         wished = [v for r in reference for v in (r.x, r.y, r.yaw, r.speed, r.steering)]
         inputs = self._solve(present, wished, _shifted(self._inputs))
         if inputs is None or not all(map(math.isfinite, inputs)):
-            return None, "the solver finds no way to follow the path"
+            return None, "the solver finds no plan to follow the path"
         return inputs, ""
 
     def _commands(self, before: Command, inputs: list[float]) -> list[Command]:

@@ -1,5 +1,8 @@
-"""Brings the car to a point that may move: when to have a way planned, when to drive, when to stand, and what counts as
-reached. Planning goes on beside it; until an answer comes, the car goes on along the way that it has."""
+"""Navigator: drives the car to a target that may move.
+
+It decides when to request a path, when to drive, when to stand, and when the target is reached. The planner runs in its
+own process. Until its answer arrives, the car follows its present path.
+"""
 
 from __future__ import annotations
 
@@ -17,35 +20,41 @@ from targets.car.planning.curves import Curve
 from targets.car.planning.planner import SLIVER, Area, arc, segments
 from targets.car.planning.reasons import NoWay
 
-STANDING = 0.05  # m/s or slower is standing
-MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
-# A manoeuvre that has begun is ended, if its goal is off by no more than this share of the distance: planned anew each
-# time the target moves, its changes of gear would recede for ever.
+STANDING = 0.05  # m/s; a car that is not faster counts as standing
+# A new path is requested if the target has moved by more than MOVED (m) + MOVED_SHARE * (the car's distance to it).
+MOVED, MOVED_SHARE = 0.02, 0.05
+# A path with changes of gear is driven to its end, if the target has moved by no more than this share of the car's
+# distance to it. If it were replanned each time the target moves, the car might never come to its changes of gear.
 COMMIT = 0.4
-ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
-STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
-LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
-TRAIL = 0.3  # metres of a target's way that tell where it is heading
-STRAYED = 0.08  # metres from the path beyond which the way back to it is not driven near to obstacles
-OFF_PATH = 0.25  # metres from the path that call for a new one
-BEHIND = 0.5  # metres that the car may have gone on from where an answer's way begins
-RETRY = 1.0  # seconds until a plan that failed is tried again
-STAY, LEAVE = 0.9, 1.5  # radii from the target within which an arrived car stays, beyond which it goes on at once
-SETTLE = 1.0  # seconds between these two after which it goes on, too
-STUCK = 2.0  # seconds without motion after which a driving car says so
-REACTION, CAUTION = 0.3, 0.3  # seconds and metres besides the way to a stop in which others' paths matter
-LAG = 0.15  # seconds in which the measured speed follows the commanded one
-SLIP = 0.5  # m/s between commanded and measured speed, at most: a blocked car must not wind up
+ARC_REACH = 0.5  # m; for a target within this distance, a single arc is tried before the planner is asked
+# Distance of a single arc's end from the target that is accepted, in units of the reached radius: for a standing car,
+# and for a car on the last segment of its path.
+STANDING_BY, FOLLOWING = 0.4, 1.5
+LOOKAHEAD = 0.4  # m; look-ahead distance of pure pursuit towards a moving target: with a shorter one, the car sways
+TRAIL = 0.3  # m of a moving target's travelled path from which its direction is estimated
+STRAYED = 0.08  # m; with a larger lateral error, the car stops if an obstacle is near, and does not return to its path
+OFF_PATH = 0.25  # m; with a larger lateral error, a new path is requested
+BEHIND = 0.5  # m that a driving car may be away from the start of a planned path when the planner's answer arrives
+RETRY = 1.0  # seconds between a failed planning request and the next one
+# In units of the reached radius: a car that has arrived stays within STAY of the target and drives on beyond LEAVE.
+STAY, LEAVE = 0.9, 1.5
+SETTLE = 1.0  # seconds at a distance between these two after which the car drives on, too
+STUCK = 2.0  # seconds without motion after which `progress` reports that a driving car does not move
+# Other robots' paths are checked over the stopping distance, plus the distance driven in REACTION (seconds) at maximum
+# speed, plus CAUTION (m).
+REACTION, CAUTION = 0.3, 0.3
+LAG = 0.15  # seconds by which the measured speed follows the commanded one
+SLIP = 0.5  # m/s; maximum difference of commanded and measured speed, so that a blocked car's command cannot wind up
 
 
 class Trail:
-    """Where a moving target has been of late."""
+    """Recent path of a moving target."""
 
     def __init__(self) -> None:
         self._places: list[tuple[float, float]] = []
 
     def add(self, place: tuple[float, float]) -> None:
-        """Take the target's present place; a jump begins a new trail."""
+        """Add the target's present place. A jump of more than TRAIL starts a new trail."""
         if self._places:
             step = math.dist(self._places[-1], place)
             if step < MOVED:
@@ -57,7 +66,7 @@ class Trail:
             self._places.pop(0)
 
     def beyond(self, distance: float) -> tuple[float, float] | None:
-        """Return the place so many metres on, if the target has been moving and goes on straight."""
+        """Return the place `distance` metres ahead of a moving target in its direction; None if it does not move."""
         if distance <= 0 or len(self._places) < 3:
             return None
         (x0, y0), (x1, y1) = self._places[0], self._places[-1]
@@ -66,12 +75,12 @@ class Trail:
 
 
 class Navigator:
-    """One car's way to its target. Positions are of the rear axle's middle, metres, local ENU."""
+    """Navigator of one car. Positions are those of the middle of the rear axle, metres, local ENU."""
 
     def __init__(
         self, settings: CarSettings, area: Area, avoidance: Avoidance, clock: Callable[[], float] = time.perf_counter
     ) -> None:
-        """Targets are brought inside the area; `clock` times the solver."""
+        """Targets are clamped into `area`. `clock` measures the solver's run time."""
         limits = Limits(
             settings.wheelbase,
             settings.max_speed,
@@ -84,11 +93,11 @@ class Navigator:
         mpc = Mpc(limits, clock=clock)
         mpc.warm_up()
         self._tracker = Tracker(limits, mpc)
-        self.note = mpc.note  # for the log: why the controller is the slower one, or ""
+        self.note = mpc.note  # log line if the slower MPC solver is used, else ""
         self._target: tuple[float, float] | None = None
         self._asked_for: tuple[float, float] | None = None
         self._planned_for: tuple[float, float] | None = None
-        self._considered: tuple[float, float] | None = None  # for this one, that path was found good enough
+        self._considered: tuple[float, float] | None = None  # last target for which the present path was accepted
         self._failed_for: tuple[float, float] | None = None
         self._arrival: float | None = None  # heading at the end of the present path
         self._retry_at = 0.0
@@ -98,37 +107,37 @@ class Navigator:
         self._near_target: tuple[float, float] | None = None
         self._last = Command(0.0, 0.0)
         self._no_way = NoWay()
-        self._crossed = False  # whether another robot's path has met the way that is driven
+        self._crossed = False  # whether another robot's path has crossed the present path
         self._approach = Approach(_cornering(limits, settings.planned_radius), settings.reached_radius)
-        self._stirred = 0.0  # when the car moved last, or had no reason to
+        self._stirred = 0.0  # last time at which the car moved, or had no reason to
         self._trail = Trail()
-        self._curve: Curve | None = None  # the way that is driven
-        self.waits = False  # for another robot to leave its way
+        self._curve: Curve | None = None  # the present path
+        self.waits = False  # whether the car waits because another robot's path crosses its own
         self.reached = True
         self.progress = "standing: no target yet"
 
     @property
     def steering(self) -> float:
-        """The angle commanded last, radians."""
+        """Last commanded steering angle, radians."""
         return self._last.steering
 
     @property
     def target(self) -> tuple[float, float] | None:
-        """The place to drive to."""
+        """Present target; None before the first."""
         return self._target
 
     @property
     def gear(self) -> int:
-        """The direction in which it drives; 0: it stands."""
+        """Direction of the path segment being driven: 1 forward, -1 reverse, 0 if none is."""
         return self._tracker.gear
 
     @property
     def stall(self) -> str:
-        """See koordgen.runtime.vehicle.platform: why there is no way to the target now."""
+        """Reason why there is no path to the target now, else "": see koordgen.runtime.vehicle.platform."""
         return "" if self._arrived or self.reached else self._no_way.why
 
     def go_to(self, target: tuple[float, float]) -> None:
-        """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""
+        """Set the target, clamped into the area, whose margin to the geofence is smaller than the reached radius."""
         area = self._area
         self._target = (max(area.west, min(area.east, target[0])), max(area.south, min(area.north, target[1])))
         self._trail.add(self._target)
@@ -138,8 +147,9 @@ class Navigator:
             self._near_since = None
 
     def follow(self, curve: Curve, state: State) -> None:
-        """Drive a way that has been planned, to its end, which is the target. A car that rolls against the first gear
-        of the way stops first, and then has a way planned from there."""
+        """Follow a planned path to its end, which becomes the target.
+
+        A car that rolls against the first gear of the path stops first, and then requests a path from there."""
         self.go_to(curve.end[:2])
         self._asked_for = None
         if _rolls_against(state, curve):
@@ -158,14 +168,16 @@ class Navigator:
         self._tracker.take(way)
 
     def pause(self) -> None:
-        """The car is being braked by others: drop the path, keep the target."""
+        """Drop the path but keep the target, because the caller brakes the car."""
         self._tracker.stop()
         self._planned_for = None
         self._last = Command(0.0, self._last.steering)
 
     def watch(self, state: State, standing: bool, now: float) -> None:
-        """Judge whether the target is reached: the car stands within the radius, and has for the dwell time; from then
-        on it is, until a new target comes, whatever noise says of a car that stands near the radius."""
+        """Update `reached`.
+
+        The target is reached once the car has stood within the radius for the dwell time. It then stays reached until a
+        new target arrives, even if position noise puts a car near the radius outside of it."""
         if self._target is None or self.reached:
             return
         near = math.dist((state.x, state.y), self._target) <= self._settings.reached_radius
@@ -177,7 +189,7 @@ class Navigator:
         self.reached = now - self._near_since >= self._settings.reached_dwell
 
     def step(self, state: State, standing: bool, now: float) -> Command | None:
-        """Return the command of the next step, None to brake. `state.speed` is measured."""
+        """Return the command for the next control step, or None to brake. `state.speed` is measured."""
         self.watch(state, standing, now)
         command = self._drive(state, standing, now)
         if command is None:
@@ -198,8 +210,8 @@ class Navigator:
             self.progress = "standing at the target"
             return None
         if self._tracker.done and not standing:
-            self._approach.drive(STEP)  # a car that is slow to stop would else circle its target for ever
-            return None  # the end of a path, or of a pause: stand first
+            self._approach.drive(STEP)  # braking counts, too: a slow stop could recur forever
+            return None  # at the end of a path, or after a pause, the car first stands
         if self._tracker.done and away <= self._settings.reached_radius:
             self._arrived = True
             return None
@@ -211,7 +223,7 @@ class Navigator:
             return None
         self.progress = f"driving, {away:.1f} m to go"
         speed = max(state.speed - SLIP, min(state.speed + SLIP, self._last.speed))
-        # Until the speed has become the commanded one, the car will have gone this much farther than the model thinks.
+        # Until the car has reached the commanded speed, it drives this much farther (m) than the model predicts.
         extra = LAG * (state.speed - speed)
         x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
         free = self._free(state, standing, now)
@@ -227,8 +239,9 @@ class Navigator:
         return None if self._tracker.done else command
 
     def _free(self, state: State, standing: bool, now: float) -> float:
-        """How many metres of the way are free of the others', as far as it takes to stop. A car that stands before
-        another's way has one around it planned again and again."""
+        """Return how many metres of the path ahead are free of other robots' paths; infinite if enough to stop are.
+
+        A car that stands before another robot's path requests a new path around it every RETRY seconds."""
         self.waits = False
         if self._curve is None:
             return math.inf
@@ -238,7 +251,7 @@ class Navigator:
         self.waits = free < math.inf
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
-            self._stirred = now  # it knows why it stands
+            self._stirred = now  # standing is expected here, so it must not be reported as stuck
             self._crossed = True
             if standing and self._target is not None:
                 self._no_way.blocked(self._target, self._avoidance.blocker)
@@ -247,8 +260,10 @@ class Navigator:
         return free
 
     def _stays(self, away: float, now: float) -> bool:
-        """Whether a car that has arrived stays where it is. It goes on when the target is 1.5 radii away, or has been
-        nearly a radius away for a while: noise and small moves are not followed, yet no target is left unreached."""
+        """Return whether a car that has arrived stays where it is. `away`: distance to the target (m).
+
+        The car drives on if the target is more than LEAVE radii away, or has been more than STAY radii away for SETTLE
+        seconds. So it does not follow noise and small moves, but always reaches its target."""
         radius = self._settings.reached_radius
         if not self._arrived:
             return False
@@ -269,11 +284,11 @@ class Navigator:
             return False
         if self._tracker.error > STRAYED and not self._tracker.done and self._avoidance.strayed(state):
             self._tracker.stop()
-            self.progress = "braking: off its way, and near to an obstacle"
+            self.progress = "braking: off the path, and near to an obstacle"
             return False
         self._answered(state, away, now)
         if self._tracker.done and abs(state.speed) > STANDING:
-            self.progress = "braking: its way is planned when the car stands"
+            self.progress = "braking: a path is planned when the car stands"
             return False
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH
         if driving and _same(self._considered, target, MOVED + MOVED_SHARE * away):
@@ -284,23 +299,25 @@ class Navigator:
             self._take(curve, target)
             return True
         if away <= STANDING_BY * self._settings.reached_radius:
-            self.progress = "standing at the target"  # nearer would take a manoeuvre
+            self.progress = "standing at the target"  # coming nearer would take a manoeuvre with changes of gear
             return False
         if not self._avoidance.asking and self._avoidance.ask(state, target, self._gear(state), self._arrival):
             self._asked_for = target
-            self._answered(state, away, now)  # it may have come at once
+            self._answered(state, away, now)  # the planner may have answered already
         if not self._tracker.done:
             return driving or self._asked_for is not None or self._considered == target
         if not _same(self._failed_for, target, MOVED):
-            self.progress = "standing until a way is planned"
+            self.progress = "standing until a path is planned"
         return False
 
     def _gear(self, state: State) -> int:
         return self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
 
     def _near(self, state: State, target: tuple[float, float]) -> Curve | None:
-        """A single arc to a target close by. On the last stretch to a target that moves on, a little beside it is
-        better than a manoeuvre, which would be out of date when it ends; from a stand there is time for one."""
+        """Return a clear single arc to a near target; None if there is none.
+
+        On the last segment towards a moving target, the arc may end beside the target (FOLLOWING): a manoeuvre would be
+        outdated when it ends. A standing car has time for a manoeuvre, so its arc must end nearer (STANDING_BY)."""
         following = self._tracker.last_stretch
         close = (FOLLOWING if following else STANDING_BY) * self._settings.reached_radius
         start, away = (state.x, state.y, state.yaw), math.dist((state.x, state.y), target)
@@ -312,7 +329,7 @@ class Navigator:
         return curve if self._avoidance.clear(start, target, curve) else None
 
     def _answered(self, state: State, away: float, now: float) -> None:
-        """Take what was planned, if an answer has come."""
+        """Follow the planned path if the planner has answered; report the reason if it found none."""
         answer, target = self._avoidance.answer(), self._asked_for
         if answer is None or target is None:
             return
@@ -347,7 +364,7 @@ def _rolls_against(state: State, curve: Curve) -> bool:
 
 
 def _cornering(limits: Limits, radius: float) -> float:
-    """Return the speed, m/s, in a curve of this radius, metres."""
+    """Return the speed (m/s) that the limits allow in a curve of this radius (m)."""
     return min(limits.speed, math.sqrt(LATERAL * limits.acceleration * radius))
 
 

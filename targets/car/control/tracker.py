@@ -1,6 +1,7 @@
-"""Follows a planned path: where on it the car is, how fast it may go there, and what the MPC shall aim at.
+"""Path tracking: locates the car on a planned path, and computes the speed profile and the MPC's reference states.
 
-A path is driven segment by segment; at the end of each the car stands before the next one, in the other gear, begins.
+A path is driven segment by segment. At the end of each segment the car stops before it starts the next one, in the
+other gear.
 """
 
 from __future__ import annotations
@@ -14,17 +15,19 @@ from targets.car.base.bicycle import State, wrap
 from targets.car.control.mpc import STEP, STEPS, Command, Limits, Mpc
 from targets.car.planning.planner import Segment
 
-LATERAL = 0.6  # of the acceleration limit may be used sideways on a curve
-BRAKING = 0.6  # ... and for braking: the rest is for errors
-APPROACH = 3.0  # 1/s: speed over distance in the last centimetres to a stop, or a lagging drive overshoots
-SHORT = 0.05  # metres kept to what is in the way, for the lag of motor and brake
-NEAR = 0.02  # metres before its end at which a segment counts as driven, when the car is
-SLOW = 0.05  # m/s or slower
-LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres around the last place in which the present one is looked for
+LATERAL = 0.6  # share of the acceleration limit that the profile uses for lateral acceleration in a curve
+BRAKING = 0.6  # share of the acceleration limit that the profile uses for braking; the rest is for correcting errors
+APPROACH = 3.0  # 1/s; before a stop, speed <= APPROACH * remaining distance, else a lagging drive overshoots
+SHORT = 0.05  # metres by which the car stops short of an obstruction, because motor and brake lag
+NEAR = 0.02  # metres: a segment is complete if the rest of it is shorter, and the car is slower than SLOW
+SLOW = 0.05  # m/s
+LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres behind and ahead of the last station in which the present one is searched for
 
 
 class Track:
-    """One segment, its stations (metres from its begin) and its speed profile (m/s, unsigned)."""
+    """Path segment with its stations (arc lengths from its start, m) and its speed profile (m/s, unsigned).
+
+    `station`: the car's present station. `error`: its distance from the segment, m."""
 
     def __init__(self, segment: Segment, limits: Limits) -> None:
         self.segment = segment
@@ -33,7 +36,7 @@ class Track:
         self._stations = [0.0]
         for a, b in pairwise(poses):
             self._stations.append(self._stations[-1] + math.hypot(b.x - a.x, b.y - a.y))
-        # Squares of speeds: under constant braking they fall linearly along the way.
+        # Squares of the speeds are stored, because under constant braking they fall linearly along the path.
         self._squares = [limits.speed**2] * len(poses)
         for i, pose in enumerate(poses):
             if abs(pose.curvature) > 1e-6:
@@ -44,14 +47,14 @@ class Track:
             braking = self._squares[i + 1] + 2 * BRAKING * limits.acceleration * way
             self._squares[i] = min(self._squares[i], braking)
         self.station = 0.0
-        self.error = 0.0  # metres from the path
+        self.error = 0.0
 
     @property
     def length(self) -> float:
         return self._stations[-1]
 
     def locate(self, state: State) -> None:
-        """Find the car's place on the path, near the last one: a path may cross itself."""
+        """Update the car's station. It is searched for near the last one only, because a path may cross itself."""
         lo, hi = self.station - LOOK_BACK, self.station + LOOK_AHEAD
         best, self.error = self.station, math.inf
         poses = self.segment.poses
@@ -68,8 +71,10 @@ class Track:
         self.station = best
 
     def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[State]:
-        """The states to be in after 1 to 20 steps, gathering speed from `speed` (m/s, signed) as the limits allow, and
-        losing it so as to stand before `clear` metres on (a NaN is 0). Yaw runs on from the car's own."""
+        """Return the MPC's reference: the states wished for after 1 to 20 steps.
+
+        The speed starts at `speed` (m/s, signed), grows as the limits allow, and falls so that the car stands before
+        `clear` metres from here (NaN counts as 0). Yaw is continuous with `yaw`, the car's own."""
         station, halt = self.station, min(self.length, self.station + max(0.0, clear - SHORT))
         direction = self.segment.direction
         pace = max(0.0, direction * speed)
@@ -105,31 +110,34 @@ class Track:
 
 
 class Tracker:
-    """Drives along paths with one MPC; `done` when the last segment of the present path has been driven, `error` the
-    distance (m) from it."""
+    """Path tracker with one MPC.
+
+    `done`: the last segment of the present path is complete. `error`: the car's distance from the path, m."""
 
     def __init__(self, limits: Limits, mpc: Mpc) -> None:
         self._limits = limits
         self._mpc = mpc
         self._tracks: list[Track] = []
-        self._driven = 0.0  # metres of the path in the segments that are behind the car
+        self._driven = 0.0  # total length (m) of the completed segments
         self.done = True
 
     def take(self, path: Sequence[Segment]) -> None:
-        """Follow this path from now on. The MPC keeps its plan: a path made anew on the way begins like the old one."""
+        """Follow this path from now on.
+
+        The MPC keeps its plan, because a path that is replanned while driving begins like the old one."""
         self._tracks = [Track(segment, self._limits) for segment in path]
         self._driven = 0.0
         self.done = not self._tracks
 
     def stop(self) -> None:
-        """Forget path and plan: the car is being braked."""
+        """Drop the path and the MPC's plan, because the car is being braked."""
         self._tracks = []
         self._mpc.reset()
         self.done = True
 
     @property
     def gear(self) -> int:
-        """The direction of the segment being driven; 0: none is."""
+        """Direction of the segment being driven: 1 forward, -1 reverse, 0 if there is none."""
         return self._tracks[0].segment.direction if self._tracks and not self.done else 0
 
     @property
@@ -143,23 +151,25 @@ class Tracker:
 
     @property
     def station(self) -> float:
-        """How many metres of the path have been driven."""
+        """Metres of the path that have been driven."""
         return self._driven + (self._tracks[0].station if self._tracks else 0.0)
 
     @property
     def failures(self) -> int:
-        """How many control steps in a row had no new plan."""
+        """Number of successive control steps for which the MPC had no new plan."""
         return self._mpc.failures
 
     @property
     def trouble(self) -> str:
-        """Why the last step had no new plan, in words; "" when it had."""
+        """Reason why the MPC had no new plan in the last step, in words; "" if it had."""
         return self._mpc.trouble
 
     def step(self, state: State, clear: float = math.inf) -> Command:
-        """The command of the next step; only while not `done`. Speed and steering are those last commanded. `clear` is
-        how many metres of the path, from the car's reference point on, are free: it slows down so as to stand before
-        they end, and goes on when there are more."""
+        """Return the command of the next control step. Only while not `done`.
+
+        `state`: its speed and steering are those last commanded.
+        `clear`: metres of the path, ahead of the car's reference point, that are free. The car slows down so that it
+        stands before their end, and drives on when there are more."""
         track = self._tracks[0]
         track.locate(state)
         if track.length - track.station < NEAR and abs(state.speed) < SLOW:

@@ -1,4 +1,4 @@
-"""What drives the car, as its platform sees it: speeds and angles out, a measured speed and troubles in."""
+"""Interface of a drive to the car's platform: takes speed and steering commands, reports measured speed and faults."""
 
 from __future__ import annotations
 
@@ -15,67 +15,70 @@ from targets.car.drive.vesc_drive import VescDrive
 
 
 class Drive(Protocol):
-    """One drive, open. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
+    """Opened drive. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
 
     @property
     def heard(self) -> bool:
-        """Return whether the drive has reported all that must be known before the car moves."""
+        """Return whether the drive has reported everything that must be known before the car moves."""
         ...
 
     @property
     def fault(self) -> str:
-        """What of it is broken, in words; "" when nothing is."""
+        """Fault that the drive reports, in words; "" if it reports none."""
         ...
 
     @property
     def blocked(self) -> str:
-        """Why the car must not be driven now, in words; "" when it may."""
+        """Reason why the car must not be driven now, in words; "" if it may."""
         ...
 
     @property
     def about(self) -> str:
-        """What it is and says of itself, for the doctor."""
+        """Description of the drive for a pre-flight check: kind, firmware version, supply voltage."""
         ...
 
     @property
     def doubt(self) -> str:
-        """What of that is not as it should be, and why; "" when all is."""
+        """Warning of a pre-flight check, such as a low battery; "" if there is none."""
         ...
 
     @property
     def asked(self) -> float:
-        """The speed, m/s, that the motor was asked for last: of a rover that which its throttle should give."""
+        """Speed (m/s) that was commanded to the motor last; for a rover, the speed that its throttle should give."""
         ...
 
     @property
     def battery(self) -> float | None:
-        """The charge that the drive reports, 0 to 1; None: not known."""
+        """Battery charge that the drive reports, 0 to 1; None if unknown."""
         ...
 
     def read(self, now: float) -> float | None:
-        """Take what arrived; a newly measured speed, or None. Raises Unready when it has been gone or silent for too
-        long; it may come back, so go on calling it."""
+        """Process received messages. Return a newly measured speed, or None.
+
+        Raises Unready if the drive has been unplugged or silent for too long. It may come back, so the caller should
+        keep calling this."""
         ...
 
     def ask(self, now: float) -> None:
-        """Ask for what it tells; moves nothing."""
+        """Request the drive's reports, without moving anything."""
         ...
 
     def checks(self, now: float) -> list[Finding] | None:
-        """For the doctor: look at the drive's own settings, in as many calls as it takes; None: not done yet."""
+        """Check the drive's own parameters, before a mission. Return None while the check is incomplete."""
         ...
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:
-        """Return where the drive itself says that the car is, and when that was true, since this was asked last."""
+        """Return the poses that the drive itself has estimated since the last call, and the time of each."""
         ...
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
-        """Drive like this until the next command, which the watchdog expects within its time. `speed` is measured, for
-        a drive that does not hold speeds by itself; None: nobody knows it."""
+        """Drive with this speed and steering until the next command. If that is late, the watchdog brakes.
+
+        `speed`: measured speed, for a drive without a speed control of its own; None if unknown."""
         ...
 
     def brake(self, now: float) -> None:
-        """Brake; at standstill: neutral."""
+        """Brake; at standstill, go neutral."""
         ...
 
     def news(self) -> list[str]:
@@ -83,17 +86,19 @@ class Drive(Protocol):
         ...
 
     def close(self, standing: bool) -> None:
-        """Give back the device; a car that does not stand is left to the watchdog, which brakes. Idempotent."""
+        """Close the device. If the car is not `standing`, the watchdog brakes it. Idempotent."""
         ...
 
 
 def opened(settings: CarSettings, links: Links, frame: LocalFrame) -> Drive:
-    """Open the drive that the settings name; `frame` is the fleet's. Raises Unready, saying what to do."""
+    """Open the drive that the settings name; `frame` is the fleet's. Raises Unready with a hint."""
     kind, _, place = settings.drive.partition(":")
     if kind == "vesc" and place:
         return VescDrive(place, settings, links)
     if kind == "rover" and place:
-        from targets.car.drive.rover import RoverDrive  # a VESC's car does not pay for pymavlink
+        from targets.car.drive.rover import (
+            RoverDrive,
+        )  # imported here, so that a car with a VESC does not load pymavlink
 
         return RoverDrive(settings, links.mavlink(place), links.watchdog(), frame)
     hint = "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0, or rover:URL, as in rover:serial:/dev/ttyACM0:115200"

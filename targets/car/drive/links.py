@@ -1,4 +1,4 @@
-"""The car's links, never blocking: the drive's serial device, the position feed's UDP port, the watchdog's process."""
+"""Non-blocking links of the car: the drive's serial device, the position feed's UDP port, the watchdog's process."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ BAUD = 115_200
 
 
 class ByteLink(Protocol):
-    """A stream of bytes both ways. `read` gives what is there, `write` takes what fits and says how many bytes it
-    took. Both raise Unready when the device is gone. `fileno` is for the watchdog, which holds it as well."""
+    """Non-blocking byte stream in both directions.
+
+    `read` returns the bytes that have arrived. `write` returns the number of bytes that it wrote. Both raise Unready if
+    the device is gone. `fileno` is the descriptor for the watchdog, which writes to the same device."""
 
     def read(self) -> bytes: ...
 
@@ -37,7 +39,7 @@ class ByteLink(Protocol):
 
 
 class Links(Protocol):
-    """Opens links; raises Unready, saying what to do."""
+    """Factory of the car's links. Its methods raise Unready with a hint."""
 
     def serial(self, device: str) -> ByteLink: ...
 
@@ -50,11 +52,11 @@ class Links(Protocol):
     def watchdog(self) -> Watch: ...
 
     def wait(self, seconds: float) -> None:
-        """Let time pass. Used by `diagnose` only, the one call that may."""
+        """Sleep. Used by `diagnose` only, since no other call may block."""
         ...
 
     def remember(self, lag: float) -> None:
-        """Keep the motor's lag (s) for the doctor, who moves nothing. Raises nothing."""
+        """Store the motor's lag (s) for later pre-flight checks, which cannot measure it. Raises nothing."""
         ...
 
     def remembered(self) -> float | None:
@@ -63,7 +65,7 @@ class Links(Protocol):
 
 
 class SerialLink:
-    """A serial device through pyserial; a pseudo-terminal works, too."""
+    """Serial device, opened with pyserial; it may be a pseudo-terminal."""
 
     def __init__(self, device: str) -> None:
         import serial
@@ -74,7 +76,7 @@ class SerialLink:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
         except (*self._gone, ValueError) as error:
             number = getattr(error, "errno", None)
-            # What flock says of a device that is locked helps nobody.
+            # EAGAIN from flock means that another process has locked the device; its own text would not say so.
             reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
             hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
             raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
@@ -86,7 +88,7 @@ class SerialLink:
             raise self._lost(error) from None
 
     def write(self, data: bytes) -> int:
-        # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
+        # pyserial's own non-blocking write would spin, and never return, while the device accepts no bytes.
         try:
             return os.write(self._port.fileno(), data)
         except BlockingIOError:
@@ -106,7 +108,7 @@ class SerialLink:
 
 
 class Nowhere:
-    """A position feed on which nothing comes: the drive knows where it is."""
+    """Empty position feed, for a drive that reports the position itself."""
 
     def receive(self) -> bytes | None:
         return None
@@ -116,7 +118,7 @@ class Nowhere:
 
 
 class RealLinks:
-    """Links to real devices. `notes` is the file in which the motor's lag is kept; None: nothing is kept."""
+    """Links to real devices. `notes`: file in which the motor's lag is stored; None: it is not stored."""
 
     def __init__(self, notes: Path | None = None) -> None:
         self._notes = notes

@@ -1,8 +1,13 @@
-"""An ArduPilot rover as the car's drive: raw steering and throttle in MANUAL, by overriding two RC channels.
+"""Drive of a car with an ArduPilot rover: steering and throttle in MANUAL mode, by overriding two RC channels.
 
-MANUAL and not GUIDED, because only there the wheels have the angle that the controller wants, also at standstill; the
-speed loop is our own. An override counts only from system 255, and holds for 3 s after the last: neutral is sent until
-the car stands. Whoever takes the mode away or disarms keeps it: then our overrides end, and a pilot has the sticks.
+The mode is MANUAL and not GUIDED, because only MANUAL sets the wheels to the angle that the agent's controller
+commands, also at standstill. The agent controls the speed itself.
+
+The rover accepts overrides only from MAVLink system 255. An override holds for 3 s after the last message, so neutral
+is sent until the car stands.
+
+If a pilot or a failsafe changes the mode or disarms, the agent does not take the rover back: it releases the overrides,
+and the pilot's sticks control the rover.
 """
 
 from __future__ import annotations
@@ -25,29 +30,29 @@ from targets.mavlink.link import GROUND_STATION, Link
 from targets.mavlink.parameters import Parameters
 from targets.mavlink.transport import Transport, Way
 
-MANUAL = 0
-STARTING = 60.0  # seconds until it must have been heard: an autopilot may be switched on after the agent
-SILENT, LOST = 1.5, 5.0  # seconds without a message after which the car is braked, and counts as lost
-RELEASE, LEAVE = 0, 65535  # overrides: give the channel back to the receiver; leave it as it is
+MANUAL = 0  # custom_mode of MANUAL
+STARTING = 60.0  # seconds to wait for the first message: a rover may be switched on after the agent
+SILENT, LOST = 1.5, 5.0  # seconds without a message after which the car is braked, and after which it counts as lost
+RELEASE, LEAVE = 0, 65535  # override values: return the channel to the receiver; do not change the channel
 STAYS_ARMED = "a rover whose agent was killed stays armed: keep away from its wheels, and disarm it by a ground station"
 _RATES = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
 }  # Hz
-_VOUCHED = 2.0  # seconds for which a report of the estimate's state holds
+_VOUCHED = 2.0  # seconds for which an EKF status report counts as current
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 
 
 class Route(Transport, Protocol):
-    """A transport on which another process can write, too."""
+    """Transport on which the watchdog's process can write, too."""
 
     def way(self) -> Way | None: ...
 
 
 class RoverDrive:
-    """Implements `drive.Drive`. `frame` is the fleet's."""
+    """Drive with an ArduPilot rover: implements `drive.Drive`. `frame`: the fleet's local frame."""
 
     def __init__(self, settings: CarSettings, transport: Route, watch: Watch, frame: LocalFrame) -> None:
         self._settings, self._transport, self._watch, self._frame = settings, transport, watch, frame
@@ -56,21 +61,21 @@ class RoverDrive:
         self._held: Way | None = None
         self._mode: int | None = None
         self._armed = False
-        self._ours = self._was_armed = False  # whether it has been in MANUAL, and armed in it, since we began
-        self._taken = ""  # who has it instead of us, in words
+        self._ours = self._was_armed = False  # whether the rover was seen in MANUAL, and armed in MANUAL
+        self._taken = ""  # reason, in words, why the rover is under another's control; "" if it is not
         self.asked = 0.0  # see Drive
         self._volts: float | None = None
         self.battery: float | None = None  # see Drive
         self._version = ""
-        self._vouched = -math.inf  # when the EKF last said that it knows where it is
+        self._vouched = -math.inf  # time of the last EKF report, if that shows an absolute position
         self._fixes: list[tuple[Pose, float]] = []
         self._asked: dict[int, float] = {}
         self._came: dict[int, float] = {}
         self._begun: float | None = None
         self._now = 0.0
         self._news: list[str] = []
-        self._parameters: Parameters | None = None  # the doctor asks for them
-        self._receiver: bool | None = None  # whether the rover hears a remote control
+        self._parameters: Parameters | None = None  # read for a pre-flight check only
+        self._receiver: bool | None = None  # whether the rover receives a remote control
         self._sticks_asked = -math.inf
 
     @property
@@ -84,13 +89,13 @@ class RoverDrive:
     @property
     def about(self) -> str:
         if not self.heard:
-            return "a rover that does not tell what it is"
+            return "a rover that does not report its version"
         return f"ArduPilot rover {self._version} answers on {self._settings.drive}, supply {self._volts:.1f} V"
 
     @property
     def doubt(self) -> str:
         if self._link.rivalled(self._now):
-            return "another ground station sends as system 255: its overrides would drive the car, too"
+            return "another ground station uses system id 255: its overrides would drive the car, too"
         return battery.doubt(self._volts or 0.0)
 
     @property
@@ -100,9 +105,9 @@ class RoverDrive:
         if self._silence > SILENT:
             return f"braking: nothing has come from the rover for {self._silence:.1f} s"
         if self._link.crowded(self._now):
-            return "braking: two autopilots speak on this link"
+            return "braking: two autopilots send on this link"
         if self._taken or not self.heard:
-            return self._taken or "waiting for what the rover is"
+            return self._taken or "waiting for the rover's version and status"
         if not self._ours or not self._armed:
             said = self._link.reasons(self._now - 10.0)
             return ("arming" if self._ours else "changing to MANUAL") + (f": {said}" if said else "")
@@ -136,7 +141,7 @@ class RoverDrive:
             raise Unready(f"what answers on {self._settings.drive} is no ArduPilot rover", "correct `drive`")
         self._hand_over()
         if self._silence > (STARTING if vehicle is None else LOST):
-            hint = "check its supply and cable; it drives on for 3 s after the last override, then it is neutral"
+            hint = "check its supply and cable; the rover drives on for 3 s after the last override, then goes neutral"
             raise Unready(f"nothing has come from {self._settings.drive} for {self._silence:.1f} s", hint)
         return speed
 
@@ -153,11 +158,11 @@ class RoverDrive:
                 self._version = f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}"
 
     def _take(self, message: Message, now: float) -> float | None:
-        """Take a message of a stream; the EKF's speed (m/s, signed), where the EKF knows it."""
+        """Process a streamed message. Return the EKF's signed speed (m/s) if the message has it, else None."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
                 self._volts = 0.0 if message.voltage_battery == 65535 else message.voltage_battery / 1000
-                known = 0 <= message.battery_remaining <= 100  # percent; -1: the rover does not know it
+                known = 0 <= message.battery_remaining <= 100  # percent; -1: unknown
                 self.battery = message.battery_remaining / 100 if known else None
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
                 knows = message.flags & mavlink.EKF_POS_HORIZ_ABS and not message.flags & mavlink.EKF_CONST_POS_MODE
@@ -177,7 +182,7 @@ class RoverDrive:
         return vx * math.cos(yaw) + vy * math.sin(yaw)
 
     def checks(self, now: float) -> list[Finding] | None:
-        """See Drive: reads the parameters that matter, and whether it is armed."""
+        """See Drive: checks the parameters of `rover_parameters`, and that the rover is disarmed."""
         if self._parameters is None:
             asked = rover_parameters.rules(self._settings, receiver=False)
             self._parameters = Parameters(tuple(rule.wanted for rule in asked), bytewise=False)
@@ -196,7 +201,7 @@ class RoverDrive:
         return found
 
     def _watch_pilot(self) -> None:
-        """Somebody else's change of mode, or disarming, is kept: our part is over."""
+        """Release the rover if somebody else, or a failsafe, has changed its mode or disarmed it."""
         if self._taken or not self._ours:
             return
         if self._mode != MANUAL:
@@ -209,7 +214,7 @@ class RoverDrive:
             self._held = None
 
     def _hand_over(self) -> None:
-        """Give the watchdog the way to the rover whenever that is another."""
+        """Pass the transport's descriptor to the watchdog whenever it changes."""
         way = self._transport.way()
         if way == self._held or self._taken or self._link.vehicle is None:
             return
@@ -229,7 +234,7 @@ class RoverDrive:
         )
 
     def ask(self, now: float) -> None:
-        """See Drive. Nothing streams until asked."""
+        """See Drive. The rover streams messages only on request."""
         if self._link.vehicle is None:
             return
         for number, rate in _RATES.items():
@@ -241,8 +246,9 @@ class RoverDrive:
             self._link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
     def _prepare(self, now: float) -> None:
-        """Bring it to MANUAL, then arm it, once: a mode is acknowledged and lost in the first second after boot, so
-        only its heartbeat proves it."""
+        """Switch the rover to MANUAL, then arm it once.
+
+        Only a heartbeat proves the mode: in the first second after boot, the rover acknowledges a mode and loses it."""
         if self._taken or not self.heard:
             return
         if not self._ours:
@@ -258,13 +264,13 @@ class RoverDrive:
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
         """See Drive."""
-        steering = channel(-command.steering / self._settings.max_steering)  # more than 1500 is a right turn
+        steering = channel(-command.steering / self._settings.max_steering)  # negative: values above 1500 turn right
         throttle = self._loop.throttle(command.speed, speed, STEP)
         self.asked = throttle * self._settings.full_speed
         self._send(steering, channel(throttle), now)
 
     def brake(self, now: float) -> None:
-        """See Drive: neutral, wheels straight."""
+        """See Drive: commands neutral throttle and straight wheels."""
         self._loop.reset()
         self._send(NEUTRAL, NEUTRAL, now)
 
@@ -287,10 +293,10 @@ class RoverDrive:
         return told
 
     def close(self, standing: bool) -> None:
-        """See Drive. What we armed and stands is disarmed, unless somebody has it now."""
+        """See Drive. Disarms a standing rover that this agent armed, unless it is under another's control."""
         if self._was_armed and standing and not self._taken:
             self._link.send(self._override(NEUTRAL, NEUTRAL))
-            for _ in range(3):  # nobody is left to see whether it has heard
+            for _ in range(3):  # repeated, because after closing, the agent cannot see whether the command arrived
                 self._link.tell(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._was_armed = False
         self._watch.close(standing)

@@ -1,9 +1,11 @@
-"""The parameters of an ArduPilot rover that matter when it is driven by overridden sticks in MANUAL.
+"""Parameters of an ArduPilot rover that matter when it is driven in MANUAL mode by overrides of RC channels.
 
-WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers are not among them: MANUAL uses none.
-Two things stop a rover whose agent's computer has died: RC_OVERRIDE_TIME where a receiver is connected (the sticks are
-the receiver's again), and the failsafe for a lost ground station. Without a receiver an override that has ended leaves
-the sticks where they were (RC_Channels::read_input updates no channel), so the failsafe alone stops it.
+WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers do not matter, because MANUAL does not
+use them.
+
+Two mechanisms stop a rover if the agent's computer dies. With a receiver, the overrides end after RC_OVERRIDE_TIME, and
+the receiver controls the rover again. Without a receiver, the channels keep their values after the overrides end
+(RC_Channels::read_input updates no channel), so only the failsafe for a lost ground station stops the rover.
 """
 
 from __future__ import annotations
@@ -18,32 +20,31 @@ from targets.car.drive.throttle import DEAD_ZONE, NEUTRAL, SPAN
 from targets.mavlink.link import GROUND_STATION
 from targets.mavlink.parameters import Reading, Wanted
 
-STEERING, THROTTLE = 1, 3  # the channels that are overridden
-IGNORE_OVERRIDES = 2  # bit of RC_OPTIONS
-HOLD = 2  # FS_ACTION
-SLOWEST = 2.0  # of max_acceleration, that the throttle's slew rate must allow
+STEERING, THROTTLE = 1, 3  # numbers of the RC channels that are overridden
+IGNORE_OVERRIDES = 2  # bit of RC_OPTIONS with which the rover ignores overrides
+HOLD = 2  # value of FS_ACTION for the failsafe action Hold
+SLOWEST = 2.0  # multiple of max_acceleration that the throttle's slew rate must allow
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A parameter and the values that are right, as a test and in words. `optional`: older versions have no such
-    parameter, and do as they should."""
+    """Rule for one parameter of the rover."""
 
     name: str
-    right: Callable[[float], bool]
-    expected: str
-    why: str
-    vital: bool = False
-    older: tuple[str, ...] = ()
-    optional: bool = False
+    right: Callable[[float], bool]  # whether a value is right
+    expected: str  # the right values, in words
+    why: str  # consequence of a wrong value
+    vital: bool = False  # whether the check fails with a wrong value; otherwise it warns
+    older: tuple[str, ...] = ()  # names in older versions
+    optional: bool = False  # older versions lack the parameter and behave as required
 
     @property
     def wanted(self) -> Wanted:
-        """Return the parameters to ask for."""
+        """Return the parameter to read from the rover."""
         return Wanted(self.name, self.older, (), self.why, self.vital)
 
     def judged(self, reading: Reading) -> Finding | None:
-        """Return a description of what is wrong with the value; None if it is right."""
+        """Return the failed check or the warning for a wrong value; None if the value is right."""
         if reading.found is None and self.optional:
             return None
         if reading.found is not None and self.right(reading.found):
@@ -54,19 +55,21 @@ class Rule:
 
 
 def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
-    """The rules for a car with these settings; `receiver`: whether the rover hears a remote control, None: unknown."""
+    """Return the rules for a car with these settings.
+
+    `receiver`: whether the rover receives a remote control; None if unknown."""
     return (
-        _one("MAV_GCS_SYSID", GROUND_STATION, "else it ignores all that the agent sends", True, ("SYSID_MYGCS",)),
+        _one("MAV_GCS_SYSID", GROUND_STATION, "else the rover ignores the agent's overrides", True, ("SYSID_MYGCS",)),
         Rule(
             "RC_OPTIONS", lambda v: not int(v) & IGNORE_OVERRIDES, f"a number without the bit {IGNORE_OVERRIDES}",
-            "with that bit it ignores overrides, and the car does not drive", vital=True,
+            "with that bit the rover ignores overrides, and does not drive", vital=True,
         ),
         _one("RCMAP_ROLL", STEERING, "else the agent's steering goes to another channel", True),
         _one("RCMAP_THROTTLE", THROTTLE, "else the agent's throttle goes to another channel", True),
         _one("FS_GCS_ENABLE", 1, "else a rover without a receiver drives on when the agent's computer dies", True),
-        _one("FS_ACTION", HOLD, "HOLD is what stops it when the agent's computer dies", True),
-        _within("FS_GCS_TIMEOUT", 1.0, 2.0, "seconds from the agent's last heartbeat to HOLD", optional=True),
-        _within("RC_OVERRIDE_TIME", 0.2, 1.0, "seconds for which it drives on with the agent's last command"),
+        _one("FS_ACTION", HOLD, "Hold stops the rover when the agent's computer dies", True),
+        _within("FS_GCS_TIMEOUT", 1.0, 2.0, "seconds from the agent's last heartbeat to Hold", optional=True),
+        _within("RC_OVERRIDE_TIME", 0.2, 1.0, "seconds for which the rover drives on with the agent's last command"),
         *_failsafe(receiver),
         *(rule for channel in (STEERING, THROTTLE) for rule in _channel(channel)),
         _slew_rate(settings),
@@ -80,7 +83,7 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
 
 
 def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
-    """Return one line for each parameter that differs, the vital ones first; `readings` has a value for every rule."""
+    """Return one result for each wrong parameter, the vital ones first; `readings` has an entry for every rule."""
     by_name = {reading.wanted.name: reading for reading in readings}
     checked = [rule for rule in rules(settings, receiver) if rule.name in by_name]
     wrong = [found for rule in checked if (found := rule.judged(by_name[rule.name]))]
@@ -96,7 +99,7 @@ def _one(
 
 
 def _within(name: str, low: float, high: float, why: str, optional: bool = False) -> Rule:
-    close = 1e-6  # a parameter of ArduPilot has 24 bits
+    close = 1e-6  # tolerance for rounding: ArduPilot stores parameters as floats with 24-bit mantissas
     return Rule(name, lambda v: low - close <= v <= high + close, f"{low:g} to {high:g}", why, optional=optional)
 
 
@@ -111,7 +114,7 @@ def _failsafe(receiver: bool | None) -> tuple[Rule, ...]:
 def _channel(number: int) -> tuple[Rule, ...]:
     why = "else the wheels and the motor do less or more than the agent commands"
     ends = (("MIN", NEUTRAL - SPAN), ("TRIM", NEUTRAL), ("MAX", NEUTRAL + SPAN), ("DZ", DEAD_ZONE))
-    reversed_ = _one(f"RC{number}_REVERSED", 0, "else it turns or drives the other way: use SERVOn_REVERSED instead")
+    reversed_ = _one(f"RC{number}_REVERSED", 0, "else the rover turns or drives backwards: use SERVOn_REVERSED")
     return (*(_one(f"RC{number}_{end}", value, why) for end, value in ends), reversed_)
 
 

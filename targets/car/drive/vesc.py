@@ -1,8 +1,8 @@
-"""The serial protocol of a VESC motor controller: the few messages that a car needs, their frames and checksum.
+"""Serial protocol of a VESC motor controller: the messages that a car needs, their frames and checksum.
 
-A frame is 0x02 and one length byte (or 0x03 and two), the payload, its CRC-16/XMODEM, 0x03; a payload's first byte is
-the command. Numbers are big-endian. Formula and layout sources: the open VESC firmware's `packet.c`, `commands.c`
-(COMM_PACKET_ID, COMM_FW_VERSION, COMM_GET_VALUES) and `crc.c`.
+A frame consists of 0x02 and one length byte (or 0x03 and two length bytes), the payload, the payload's CRC-16/XMODEM,
+and 0x03. The first byte of a payload is the command. Numbers are big-endian. Sources of layout and checksum:
+`packet.c`, `commands.c` (COMM_PACKET_ID, COMM_FW_VERSION, COMM_GET_VALUES) and `crc.c` of the open VESC firmware.
 """
 
 from __future__ import annotations
@@ -14,43 +14,45 @@ from dataclasses import dataclass
 
 FW_VERSION, GET_VALUES, SET_CURRENT_BRAKE, SET_RPM, SET_SERVO_POS = 0, 4, 7, 8, 12
 SHORT, LONG, END = 0x02, 0x03, 0x03
-# The firmware's own largest packet; a longer length field is noise, and waiting for its end would deafen the decoder.
+# Bytes of the largest payload, as in the firmware. A larger length field is noise; if the decoder waited for the end of
+# such a frame, it would miss real ones.
 LARGEST = 512
 _INT32 = 2**31 - 1
-# GET_VALUES: temperatures FET and motor, currents motor, input, d and q, duty, ERPM, voltage, four charges and
-# energies, two tachometers, fault. Newer firmware appends fields; these have stayed where they are since 2.18.
+# Fields of an answer to GET_VALUES: temperatures of FETs and motor; currents of motor, input, d and q axis; duty cycle,
+# ERPM, voltage; four charges and energies; two tachometers; fault code. Newer firmware appends fields; the offsets of
+# these have not changed since version 2.18.
 _VALUES = struct.Struct(">hhiiiihihiiiiiiB")
 
 
 @dataclass(frozen=True, slots=True)
 class SetErpm:
-    """Hold an electrical speed, in electrical revolutions a minute; negative is reverse."""
+    """Command to hold an electrical speed, in electrical revolutions per minute (ERPM); negative is reverse."""
 
     erpm: float
 
 
 @dataclass(frozen=True, slots=True)
 class SetServo:
-    """Move the servo to a position from 0 to 1."""
+    """Command to move the steering servo to a position from 0 to 1."""
 
     position: float
 
 
 @dataclass(frozen=True, slots=True)
 class Brake:
-    """Brake with a current, in amperes. At standstill it gives no torque: it is the neutral of this target, too."""
+    """Command to brake with a current, in amperes. At standstill it gives no torque, so it also serves as neutral."""
 
     current: float
 
 
 @dataclass(frozen=True, slots=True)
 class AskValues:
-    """Ask the controller for its values."""
+    """Request for the controller's values."""
 
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """What the controller says of itself: ERPM, supply voltage, and a fault code, 0 when all is well."""
+    """Values that the controller reports: ERPM, supply voltage (V), and a fault code (0: no fault)."""
 
     erpm: float
     voltage: float = 0.0
@@ -59,12 +61,12 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class AskVersion:
-    """Ask which firmware it runs."""
+    """Request for the controller's firmware version."""
 
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """The controller's firmware."""
+    """Version of the controller's firmware."""
 
     major: int
     minor: int
@@ -74,8 +76,9 @@ Message = SetErpm | SetServo | Brake | AskValues | Values | AskVersion | Version
 
 
 def encode(message: Message) -> bytes:
-    """One frame. Numbers outside their field's range are brought to its end; NaN raises ValueError: nothing that is
-    not a number may ever reach a motor."""
+    """Return the frame of a message. Numbers are clamped to their field's range.
+
+    Raises ValueError for NaN, so that no such value can reach a motor."""
     match message:
         case SetErpm(erpm):
             payload = struct.pack(">Bi", SET_RPM, _field(erpm, 1, _INT32))
@@ -103,20 +106,21 @@ def frame(payload: bytes) -> bytes:
 
 
 def checksum(payload: bytes) -> int:
-    """CRC-16/XMODEM: polynomial 0x1021, start 0."""
+    """Return the CRC-16/XMODEM of a payload: polynomial 0x1021, initial value 0."""
     return binascii.crc_hqx(payload, 0)
 
 
 class Decoder:
-    """Takes the byte stream in pieces of any size and finds the messages in it. Whatever the bytes, it never raises
-    and keeps at most one frame's worth of them. `dropped` counts bytes that belonged to no good frame."""
+    """Decoder of the byte stream, in pieces of any size. It raises for no input, and buffers one frame at most.
+
+    `dropped`: number of bytes that belonged to no valid frame."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self.dropped = 0
 
     def feed(self, data: bytes) -> list[Message]:
-        """Return the messages that these bytes complete; unknown kinds and wrong sizes are skipped."""
+        """Return the messages that these bytes complete. Unknown commands and wrong sizes are skipped."""
         self._bytes += data
         found: list[Message] = []
         while (payload := self._next()) is not None:
@@ -126,7 +130,9 @@ class Decoder:
         return found
 
     def _next(self) -> bytes | None:
-        """Cut the next good frame off the front, dropping what cannot be the start of one; None: more bytes needed."""
+        """Return the next valid frame's payload and remove it from the buffer; None if more bytes are needed.
+
+        Bytes that cannot be the start of a frame are dropped."""
         start, held = 0, self._bytes
         try:
             while start < len(held):
@@ -154,7 +160,7 @@ def _decode(payload: bytes) -> Message | None:
     match payload[0], len(payload):
         case 0, 1:
             return AskVersion()
-        case 0, size if size > 2:  # newer firmware goes on with names
+        case 0, size if size > 2:  # newer firmware appends names
             return Version(payload[1], payload[2])
         case 4, 1:
             return AskValues()

@@ -1,4 +1,4 @@
-"""A VESC on a serial device as the car's drive. It survives being unplugged: the device is opened again."""
+"""Drive of a car with a VESC motor controller on a serial device, which is reopened after it was unplugged."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from targets.car.control.mpc import Command
 from targets.car.drive import battery, vesc
 from targets.car.drive.links import ByteLink, Links
 
-STUCK = 1.0  # seconds for which the device may take no bytes
-STARTING = 5.0  # seconds within which it must have answered for the first time
-SILENT = 2.0  # seconds without an answer, or without the device, after which it counts as lost
-REPLUG = 0.5  # seconds between two attempts to open the device anew
-OLDEST = 3  # major version: before, the command that moves the servo was another's number, that of the configuration
+STUCK = 1.0  # seconds for which the device may accept no bytes before it counts as lost
+STARTING = 5.0  # seconds within which the controller must give its first answer
+SILENT = 2.0  # seconds without an answer, or without the device, after which the controller counts as lost
+REPLUG = 0.5  # seconds between two attempts to reopen the device
+# Oldest supported major version of the firmware. In older ones, the number of the servo command belongs to a command
+# that changes the configuration.
+OLDEST = 3
 _FAULTS = {
     1: "over-voltage",
     2: "under-voltage",
@@ -26,9 +28,9 @@ _FAULTS = {
 
 
 class VescDrive:
-    """Implements `drive.Drive`."""
+    """Drive with a VESC: implements `drive.Drive`."""
 
-    battery = None  # a VESC measures its supply, but knows no battery
+    battery = None  # a VESC measures its supply voltage, but reports no battery charge
 
     def __init__(self, device: str, settings: CarSettings, links: Links) -> None:
         self._device, self._settings, self._links = device, settings, links
@@ -37,14 +39,14 @@ class VescDrive:
         self._decoder = vesc.Decoder()
         self._unsent = b""
         self.asked = 0.0  # see Drive
-        self._values: vesc.Values | None = None  # what it said last, since its link was opened
+        self._values: vesc.Values | None = None  # last values received since the link was opened
         self._version: vesc.Version | None = None
         self._stuck_since: float | None = None
         self._unanswered_since: float | None = None
         self._gone_since: float | None = None
-        self._gone = ""  # why, in words
+        self._gone = ""  # reason why the device is gone, in words
         self._retry = -math.inf
-        self._ever = False  # whether it has ever answered
+        self._ever = False  # whether the controller has ever answered
         self._news: list[str] = []
         self._link: ByteLink | None = self._opened()
 
@@ -76,7 +78,7 @@ class VescDrive:
     @property
     def about(self) -> str:
         if self._values is None or self._version is None:
-            return "a motor controller that does not tell its firmware"
+            return "a motor controller that does not report its firmware version"
         version = f"{self._version.major}.{self._version.minor}"
         return f"VESC firmware {version} answers on {self._settings.drive}, supply {self._values.voltage:.1f} V"
 
@@ -102,7 +104,7 @@ class VescDrive:
     def _judge(self, now: float) -> None:
         if self._version is not None and self._version.major < OLDEST:
             version = f"{self._version.major}.{self._version.minor}"
-            hint = "update it with the VESC tool: with this one the command that steers would change its configuration"
+            hint = "update it with the VESC tool: in this version, the steering command would change the configuration"
             raise Unready(f"the motor controller's firmware {version} is too old", hint)
         if self._gone_since is not None and now - self._gone_since > SILENT:
             raise Unready(self._gone, "check its cable and supply; it brakes by itself when commands stop")
@@ -148,16 +150,18 @@ class VescDrive:
         self._send(b"", now)
 
     def checks(self, now: float) -> list[Finding]:
-        """See Drive: its settings cannot be asked for."""
+        """See Drive: a VESC's settings cannot be read here, so there is nothing to check."""
         return []
 
     def fixes(self) -> tuple[()]:
-        """See Drive: it does not know."""
+        """See Drive: a VESC does not know the car's pose."""
         return ()
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
-        """See Drive. Without commands the VESC's own time-out brakes (set it to 0.5 s, and its time-out brake current,
-        which is 0 as delivered, to `brake_current`)."""
+        """See Drive. If commands cease, the VESC brakes by its own time-out.
+
+        That needs two settings of the VESC: a time-out of 0.5 s, and a time-out brake current of `brake_current`; the
+        default of the latter is 0."""
         settings = self._settings
         servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
         erpm = settings.speed_to_erpm_gain * command.speed
@@ -169,7 +173,7 @@ class VescDrive:
         self._send(self._brake, now)
 
     def _send(self, commands: bytes, now: float) -> None:
-        """Send commands, and ask for what it tells."""
+        """Send commands, and request the controller's values."""
         if self._link is None:
             return
         if self._unanswered_since is None:
@@ -177,7 +181,8 @@ class VescDrive:
         asked = vesc.encode(vesc.AskValues())
         if self._version is None:
             asked += vesc.encode(vesc.AskVersion())
-        # What is left of a frame goes first, or its first half would spoil the next; a queue would only age.
+        # The rest of a partly written frame goes first, else it would corrupt the next one. New commands are then
+        # dropped instead of queued, since they would be outdated when sent.
         data = self._unsent or commands + asked
         fresh = not self._unsent
         try:

@@ -1,16 +1,16 @@
-"""The car's watchdog: a process that holds the drive's device beside the agent and brakes when the agent falls silent.
+"""Watchdog process of the car: shares the drive's device with the agent, and brakes if the agent stops commanding.
 
-It is run by its path, with nothing but Python's standard library (`python3 -I -S watchdog.py SOCKET`), so that it is
-there within some 30 ms and has nothing in it that can get stuck. SOCKET is the number of a SEQPACKET socket, on which
-the agent sends a letter and what belongs to it:
+It is run by its path, with Python's standard library only (`python3 -I -S watchdog.py SOCKET`). So it starts within
+some 30 ms, and contains nothing that can block. SOCKET is the descriptor of a SEQPACKET socket. The agent sends these
+messages, each a letter and its data:
 
-    H bytes   hold this device (its descriptor comes along); written to it, these bytes make the car brake
-    A json    ... by a datagram to this address
-    B time    a command has just been written to the device; seconds on the system's monotonic clock
-    R         let go of the device: the agent has closed it
+    H bytes   hold this device, whose descriptor is attached; the bytes, written to it, make the car brake
+    A json    send the bytes of H as datagrams to this address
+    B time    a command has just been written to the device, at this time (s on the system's monotonic clock)
+    R         release the device: the agent has closed it
 
-and gets back `B time` for each B, and `L late` when it had to brake: seconds since the last command. The agent writes
-its commands to the device itself: no command is later for the watchdog.
+The watchdog answers `B time` to each B. When it has to brake, it sends `L late`: the seconds since the last command.
+The agent writes its commands to the device itself, so the watchdog does not delay them.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ import sys
 import time
 from contextlib import suppress
 
-LATE = 0.15  # seconds without a command after which it brakes
-PERIOD = 0.05  # seconds between two orders to brake
-LAST = 2.0  # seconds for which it brakes after the agent's death: a car at 3 m/s stands by then
+LATE = 0.15  # seconds without a command after which the watchdog brakes
+PERIOD = 0.05  # seconds between two brake commands
+LAST = 2.0  # seconds for which it brakes after the agent's death; a car at 3 m/s stands by then
 
 
 class Watchdog:
-    """What is held, and when to brake next. Nothing the agent sends makes it raise."""
+    """State of the watchdog: the device held, and the time of the next brake command. Raises for no message."""
 
     def __init__(self, agent: socket.socket) -> None:
         self._agent = agent
@@ -43,17 +43,17 @@ class Watchdog:
         self._commanded = -math.inf
         self._braking = False
         self._due = math.inf
-        self._end = math.inf  # when a watchdog without an agent is done
+        self._end = math.inf  # time at which a watchdog whose agent has died ends
 
     def run(self) -> None:
-        """Until the agent has closed its end and the car has been braked for long enough."""
+        """Run until the agent has closed its socket and the car has been braked for LAST seconds."""
         while (now := time.monotonic()) < self._end:
             wait = max(0.0, min(self._due, self._end) - now)
             if self._end < math.inf:
                 time.sleep(wait)
             elif select.select([self._agent], [], [], None if wait == math.inf else wait)[0]:
                 self._take()
-                continue  # all that has been said counts before it brakes: it may have been kept from running, too
+                continue  # handle all messages before braking: this process, too, may not have run for some time
             if (now := time.monotonic()) >= self._due:
                 self._write(now)
 
@@ -67,7 +67,7 @@ class Watchdog:
                 self._let_go()
                 self._device, self._brake = descriptors[0], data[1:]
             case b"A":
-                import json  # only cars whose drive is on a network pay for it
+                import json  # imported only for a drive on a network
 
                 self._address = tuple(json.loads(data[1:]))
             case b"B":
@@ -81,7 +81,7 @@ class Watchdog:
                 self._orphaned()
 
     def _orphaned(self) -> None:
-        """The agent is gone: brake at once, and give back the lock on the device, which its successor will need."""
+        """Brake at once, because the agent has died, and unlock the device, which a restarted agent will need."""
         now = time.monotonic()
         if self._device < 0 or self._commanded == -math.inf:
             self._end = now
@@ -96,14 +96,14 @@ class Watchdog:
             with suppress(OSError):
                 self._agent.send(b"L" + struct.pack("d", now - self._commanded))
         self._due = now + PERIOD
-        data = self._unsent or self._brake  # a cut frame goes first: its half would spoil the next
+        data = self._unsent or self._brake  # the rest of a partly written frame first, else it would corrupt the next
         try:
             if self._address is not None:
                 self._send(data)
             else:
                 self._unsent = data[os.write(self._device, data) :]
         except OSError:
-            return  # takes nothing now, is unplugged, or not connected yet: try again, the agent gives us a new one
+            return  # the device is full, unplugged or not connected: retry, or wait for another device from the agent
 
     def _send(self, data: bytes) -> None:
         with socket.socket(fileno=os.dup(self._device)) as device:
@@ -118,7 +118,7 @@ class Watchdog:
 
 def main() -> None:
     gc.disable()
-    # Signals that end the agent are the agent's business: this process ends after it.
+    # Ignore the signals that end the agent, because this process must brake after the agent's end.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     Watchdog(socket.socket(fileno=int(sys.argv[1]))).run()

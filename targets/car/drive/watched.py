@@ -1,4 +1,4 @@
-"""The agent's side of the watchdog: starts its process, hands it the device, tells it of every command, replaces it."""
+"""Agent's side of the watchdog: starts its process, passes it the device, reports every command, restarts it."""
 
 from __future__ import annotations
 
@@ -14,36 +14,38 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-STARTING = 2.0  # seconds that a new one may take to answer: a slow board loads Python for some tenths
-SILENT = 0.5  # seconds without an answer after which the car is braked
-HUNG = 1.0  # ... and after which the process is ended and begun anew
-PAUSE = 1.0  # seconds between two starts, at least
-OFTEN = 5.0  # seconds between two lines that tell of its braking, at least
+STARTING = 2.0  # seconds within which a new process must answer; a slow board needs some tenths to load Python
+SILENT = 0.5  # seconds without an answer after which the agent brakes the car
+HUNG = 1.0  # seconds without an answer after which the process is killed and restarted
+PAUSE = 1.0  # minimum seconds between two starts
+OFTEN = 5.0  # minimum seconds between two log lines on braking by the watchdog
 
 
 class Watch(Protocol):
-    """A watchdog as a drive sees it. Nothing here waits or raises."""
+    """Interface of a watchdog to a drive. No method blocks or raises."""
 
     def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
-        """Brake with these bytes on this open, non-blocking device when commands cease; `address` is where to send
-        them on an unconnected datagram socket. Replaces what was held before."""
+        """Let the watchdog write the bytes `brake` to this open, non-blocking device if commands cease.
+
+        `address`: destination of the bytes if the device is an unconnected datagram socket. Replaces the device held
+        before."""
         ...
 
     def release(self) -> None:
-        """The device is closed: nothing is held any more."""
+        """Let the watchdog release the device, because it is closed."""
         ...
 
     def beat(self) -> None:
-        """A command has just been written."""
+        """Report to the watchdog that a command has just been written."""
         ...
 
     def poll(self) -> None:
-        """Take its answers, replace it when it is gone. At least 20 times a second."""
+        """Process the watchdog's answers, and restart its process if that has ended. Call at 20 Hz or more."""
         ...
 
     @property
     def trouble(self) -> str:
-        """Why nothing may be driven, in words; "" while it answers."""
+        """Reason why the car must not be driven, in words; "" while the watchdog answers."""
         ...
 
     def news(self) -> list[str]:
@@ -51,13 +53,14 @@ class Watch(Protocol):
         ...
 
     def close(self, standing: bool) -> None:
-        """End it; if the car does not stand, by itself, when it has braked for a while. Idempotent."""
+        """End the watchdog. If the car is not `standing`, the process first brakes it for some seconds. Idempotent."""
         ...
 
 
 class WatchdogProcess:
-    """The watchdog in a process of its own (watchdog.py). It is started by `hold`. `clock` is the system's monotonic
-    clock, which the two processes share."""
+    """Watchdog in its own process (watchdog.py), which `hold` starts.
+
+    `clock`: the system's monotonic clock, which both processes use."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -65,15 +68,15 @@ class WatchdogProcess:
         self._socket: socket.socket | None = None
         self._held: tuple[int, bytes, tuple[Any, ...] | None] | None = None
         self._begun = -math.inf
-        self._asked: float | None = None  # when it was told of the first command that it has not answered
-        self._answering = False  # whether it has answered since it was begun
+        self._asked: float | None = None  # time of the first command that the process has not acknowledged
+        self._answering = False  # whether the process has answered since its start
         self._news: list[str] = []
-        self._told = -math.inf  # when its braking was told of last
-        self._braked = 0  # how often it has braked since
+        self._told = -math.inf  # time of the last log line on braking
+        self._braked = 0  # number of times that the watchdog has braked since that line
 
     @property
     def pid(self) -> int:
-        """Of the process; 0: there is none."""
+        """Process id of the watchdog; 0 if it does not run."""
         return self._child.pid if self._child is not None else 0
 
     def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
@@ -118,7 +121,7 @@ class WatchdogProcess:
             self._send(b"R")
             self._end(kill=False)
         elif self._socket is not None:
-            self._socket.close()  # which to the watchdog is our death
+            self._socket.close()  # the watchdog takes this for the agent's death, and brakes
             self._socket = None
 
     def _begin(self) -> None:
@@ -127,7 +130,7 @@ class WatchdogProcess:
         ours.setblocking(False)
         command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("watchdog.py")), str(theirs.fileno())]
         try:
-            # A session of its own: Ctrl-C in the agent's terminal, or its end, must not end what brakes.
+            # Its own session, so that Ctrl-C in the agent's terminal, or the terminal's end, does not end the watchdog.
             self._child = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
@@ -158,7 +161,7 @@ class WatchdogProcess:
         try:
             self._socket.send(data)
         except BlockingIOError:
-            pass  # it takes nothing: soon it counts as hung
+            pass  # the watchdog does not read: it will soon count as hung
         except OSError:
             self._lose("ended")
 
@@ -178,7 +181,7 @@ class WatchdogProcess:
                 self._answering, self._asked = True, None
 
     def _tell_braked(self, late: float, now: float) -> None:
-        """Told every OFTEN seconds at most: on an overloaded computer it happens again and again."""
+        """Log that the watchdog braked, at most every OFTEN seconds; overload of the computer causes it repeatedly."""
         self._braked += 1
         if now - self._told < OFTEN:
             return
@@ -200,7 +203,7 @@ class WatchdogProcess:
             return
         if not kill:
             with suppress(subprocess.TimeoutExpired):
-                child.wait(timeout=0.1)  # it ends within some milliseconds
+                child.wait(timeout=0.1)  # the process ends within some milliseconds
         with suppress(OSError, subprocess.TimeoutExpired):
             child.kill()
             child.wait(timeout=0.1)
@@ -211,7 +214,7 @@ class WatchdogProcess:
 
 
 class Unwatched:
-    """No watchdog, for what owns the agent's time: a simulation on a clock of its own, and tests."""
+    """Watchdog that does nothing, for tests and for simulations that control the agent's clock."""
 
     trouble = ""
 

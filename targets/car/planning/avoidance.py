@@ -1,5 +1,6 @@
-"""Keeps the car clear of what stands in its way: has ways planned that it can drive, for the program and for driving,
-and refuses ways through what the fleet file names."""
+"""Obstacle avoidance of the car: requests drivable paths, and refuses paths through the fleet file's obstacles.
+
+Paths are requested for calls of the program's planner, and for driving to the program's targets."""
 
 from __future__ import annotations
 
@@ -27,17 +28,17 @@ from targets.planning.world import Path, Scene, World
 
 MakePlanning = Callable[[str, World, float, str], Planning]
 
-REMEMBERED = 8  # answers of the planner that the program may command
-BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
-FIRST, PATIENCE = 0.04, 0.8  # seconds in which a way is made short, and until which one is looked for at all
-OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
+REMEMBERED = 8  # number of the planner's last paths that are stored, so that the program may command one of them
+BEGIN, TURNED = 0.3, 0.3  # m, rad; a stored path is driven as planned if the car is within this of the path's start
+FIRST, PATIENCE = 0.04, 0.8  # seconds for shortening a path, and for finding any path at all
+OWN = "rrt-smoothed"  # planner of paths to single targets; the setting `planner` names the program's planner
 
 
 class Avoidance:
-    """Positions are of the rear axle's middle, metres, local ENU."""
+    """Path planning and path checks of one car. Positions are those of the rear axle's middle, metres, local ENU."""
 
     def __init__(self, settings: Settings, own: CarSettings, planning: MakePlanning) -> None:
-        """The program's planner and the one for driving are two processes: neither waits for the other."""
+        """Prepare two planner processes, for the program and for driving, so that neither waits for the other."""
         world = World(
             settings.geofence, settings.obstacles, own.clearance, own.width / 2, flies=False,
             footprint=(own.length, own.width), overhang=own.overhang, height=own.height, wheelbase=own.wheelbase,
@@ -56,33 +57,34 @@ class Avoidance:
         self._plans: dict[Path, Curve] = {}
         self._admitted: Path | None = None
         self._news: list[str] = []
-        self.refusal = ""  # why what was commanded last is not driven, in words
-        self.blocker = ""  # what `free` met last, in words
-        self.unplanned = ""  # why the program's planner found no way last, in words
+        self.refusal = ""  # reason why the last command is not driven, in words; "" if it is
+        self.blocker = ""  # the other robot's path that `free` met last, in words
+        self.unplanned = ""  # reason why the program's last call of the planner found no path, in words
 
     def start(self) -> None:
-        """Begin to make the planners. Raises Unready."""
+        """Start the planners' processes. Raises Unready."""
         self._program.start()
         self._driving.start()
 
     def poll(self) -> None:
-        """Never waits. Raises Unready when there is no such planner."""
+        """Process the planners' answers without blocking. Raises Unready if a planner cannot be created."""
         self._program.poll()
         self._driving.poll()
 
     @property
     def waiting(self) -> str:
-        """What is not there yet, in words; "" when all is."""
+        """Reason why the car cannot start yet, for the log; "" once both planners are ready."""
         return "" if self._program.ready and self._driving.ready else "waiting for the planner"
 
     def others(self, paths: Mapping[int, Path]) -> None:
-        """What the other robots have published."""
+        """Store the paths that the other robots have published, by their pids."""
         self._others = tuple(paths.values())
         self._paths = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
 
     def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
-        """For the program: few points that stand for a way the car can drive; () when there is none. The way itself is
-        remembered."""
+        """Return a path for the program: points that represent a drivable curve; () if there is none.
+
+        The curve is stored, and driven if the program commands these points."""
         start = Point(state.x, state.y, 0.0)
         wish = msgspec.msgpack.encode(Wish(state.yaw, gear))
         path = self._program.plan(start, goal, Scene.of(obstacles, self._others), wish)
@@ -99,7 +101,7 @@ class Avoidance:
         return reason if reason in ANOTHERS else self.explained(start, (goal.x, goal.y), reason)
 
     def planned(self, state: State, points: Path) -> Curve | None:
-        """The way that these points stand for, if the planner has answered them and the car is where it begins."""
+        """Return the stored curve of these points; None if there is none, or the car is not at its start."""
         curve = self._plans.get(points)
         if curve is None:
             return None
@@ -108,8 +110,9 @@ class Avoidance:
         return curve if there else None
 
     def admits(self, points: Path) -> bool:
-        """Whether commanded points may be driven to one after the other; if not, `refusal` and `news` say why. The way
-        to the first is planned, so it is free to be anywhere."""
+        """Return whether commanded points may be driven to one after the other; if not, `refusal` gives the reason.
+
+        The path to the first point is planned, so that point may be anywhere."""
         if points == self._admitted or points in self._plans or len(points) < 2 or not transmissible(points):
             self.refusal = ""
             return True
@@ -121,11 +124,11 @@ class Avoidance:
         return not trouble
 
     def resumes(self, points: Path) -> None:
-        """Admit points that an earlier life of this agent drove to: the way to each is planned."""
+        """Admit points that the agent drove to before its restart; the path to each is planned."""
         self.refusal, self._admitted = "", points
 
     def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
-        """Have a way to a target planned, for `answer`; False when that cannot be done now."""
+        """Request a path to a target; `answer` returns it. Return False if that is not possible now."""
         wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)
         start, goal = Point(state.x, state.y, 0.0), Point(target[0], target[1], 0.0)
         return self._driving.ask(start, goal, Scene(others=self._others), msgspec.msgpack.encode(wish), FIRST)
@@ -141,7 +144,7 @@ class Avoidance:
         return None if answer is None else (_curve(answer.more) if answer.path else None, answer.reason)
 
     def explained(self, start: Point2, target: Point2, reason: str) -> str:
-        """Why there is no way from `start` to `target`, to follow the target's name; `reason` as `answer` gave it."""
+        """Return why there is no path from `start` to `target`, in words; `reason`: the one that `answer` returned."""
         fixed = (shape for *_, shape in self._ground.fixed.kept)
         return unreachable(start, target, reason, fixed, self._paths, self._ground.clearance)
 
@@ -172,8 +175,9 @@ class Avoidance:
         return min(near, default=(math.inf, ""))
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
-        """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as
-        `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out: see
+        """Return how many metres of a curve, from a station on, are clear of the other robots' published paths.
+
+        Return infinity if the first `ahead` metres are. A car that is in such a path already may leave it: see
         `Lane`."""
         if not self._paths:
             return math.inf
@@ -193,7 +197,7 @@ class Avoidance:
         return told
 
     def diagnose(self, sleep: Callable[[float], None]) -> Finding:
-        """Makes the planner and ends it again."""
+        """Check the program's planner by starting and ending its process."""
         try:
             made(self._program, sleep)
         except Unready as error:

@@ -1,9 +1,9 @@
-"""Where the car may be on its way from a start: whether its footprint keeps its distance all along a curve.
+"""Collision check of the car's footprint along a curve.
 
-A curve is looked at where it says how far no place of the outline can get into anything: from a pose with some slack,
-the car goes on until that slack may be used up, whichever way it turns. So a curve that is found clear is clear between
-the poses as well; the narrower it is, the more of them are looked at. A search checks many single poses first, at once
-(`Way.free`); that says nothing about the way between them.
+A pose is checked, which gives its slack: the distance that every place of the outline can move without a collision. The
+next checked pose is as far away as that slack allows, whichever way the car turns. So a curve that is found clear is
+clear between the checked poses as well; in narrow places, more poses are checked. A search first checks many single
+poses at once (`Way.free`); that check does not cover the path between them.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from targets.car.planning.planner import Area
 from targets.car.planning.shapes import Footprint, Shape, standing
 from targets.planning.world import World
 
-FAR = 0.5  # metres of slack: more is not told apart
-CELL = 0.5  # metres: what is near is remembered for squares of this size
-LEAST_STEP = 0.004  # metres between two poses that are looked at
-PAD = 0.006  # metres kept besides on planned ways: the outline moves less than this in a least step
-LEAVING = 0.95  # of the distance that the start has from what is too near: so much is kept on the way out
-# ... but no less than this part of the clearance, if the start has that: a car whose ways are planned again and again,
-# from ever nearer places, would touch at last.
+FAR = 0.5  # metres; a larger slack is reported as this
+CELL = 0.5  # metres; width of the square cells for which near obstacles are cached
+LEAST_STEP = 0.004  # minimum metres between two checked poses
+PAD = 0.006  # metres kept in addition on planned paths: the outline moves by less than this in a least step
+LEAVING = 0.95  # share of the start's distance from an obstacle that is too near, which is kept while leaving
+# Lower limit of that distance as a share of the clearance, if the start has it. Without this limit, a car whose paths
+# are planned again and again, from ever nearer places, would touch the obstacle in the end.
 LEAST = 0.5
 MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
-POINT = Footprint(0.02, 0.02, 0.01)  # metres: for distances around what stands there, which a search steers by
-WIDE = 0.17  # turning radii: the width of the cells of these distances
-DIP = 0.0015  # metres besides at samples of an arc, between which the outline may come nearer by 2 mm
-FENCE_STEP = 0.02  # metres between two looks at the fence: an arc bulges less than 0.1 mm in between
+POINT = Footprint(0.02, 0.02, 0.01)  # metres; nearly a point, for the distance field around obstacles of a search
+WIDE = 0.17  # width of the cells of that distance field, in turning radii
+DIP = 0.0015  # metres kept in addition at samples of an arc, between which the outline may come nearer by 2 mm
+FENCE_STEP = 0.02  # metres between two checks of the geofence; an arc bulges by less than 0.1 mm in between
 
 Kept = tuple[float, float, float, float, float, Shape]  # west, south, east, north, distance kept, shape
 
@@ -181,7 +181,7 @@ class Way:
         return x + self._ground.middle * math.cos(yaw), y + self._ground.middle * math.sin(yaw)
 
     def slack(self, x: float, y: float, yaw: float) -> float:
-        """How much nearer anything may come, metres, at most FAR; below 0 when it is too near, or the car outside."""
+        """Return the slack of a pose (m), at most FAR; below 0 if an obstacle is too near or the car outside."""
         if not self._area.contains(x, y):
             return -1.0
         best, around, distance = FAR, self._ground.round, self._ground.body.distance
@@ -198,7 +198,7 @@ class Way:
         return best
 
     def obstacle(self, x: float, y: float, yaw: float) -> str:
-        """The name of what is too near at a pose; "" when nothing is."""
+        """Return the name of an obstacle that is too near at a pose; "" if there is none."""
         for things in self._things:
             for *_, kept, shape in things.around(*self._middle(x, y, yaw)):
                 if self._ground.body.distance(x, y, yaw, shape) < kept + PAD:
@@ -206,8 +206,10 @@ class Way:
         return ""
 
     def clear(self, curve: Curve, pad: float = PAD) -> bool:
-        """Whether the car keeps its distances, and `pad` more, all along. The tip of a change of gear, which leads out
-        of the area and back between two poses that are looked at, is looked at, too."""
+        """Return whether the car keeps its distances, and `pad` more, all along a curve.
+
+        The ends of pieces are checked, too: at a change of gear, the car could leave the area and return between two
+        checked poses."""
         area = self._area
         return all(area.contains(x, y) for x, y, _ in curve.ends) and self.open(curve.at, curve.length, pad)
 

@@ -1,5 +1,4 @@
-"""What a planned path is, as the planner's process tells it and as the tracker takes it; and arcs, which need no
-planning."""
+"""Representations of a planned path, for the planner's messages and for the tracker; and single arcs."""
 
 from __future__ import annotations
 
@@ -12,28 +11,28 @@ import msgspec
 from targets.car.planning.curves import Curve, Piece, Triple, along, seen_from
 
 JUDGE = "targets.car.planning.ask:Asked"
-SPACING = 0.05  # metres between the poses of a path, at most
-REVERSE_PRICE = 0.1  # a metre driven backwards counts this much more than one forwards
-GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to stop for it
-SHORTEST_ARC = 0.005  # metres
-SLIVER = 1e-4  # metres: a shorter piece is left out of a path
-NEAR_POINTS = 0.1  # metres from a path to the straight lines between the points that stand for it
+SPACING = 0.05  # maximum metres between the poses of a path
+REVERSE_PRICE = 0.1  # additional cost (m) of each metre in reverse
+GEAR_PRICE = 0.5  # cost (m) of a change of gear, for which the car has to stop
+SHORTEST_ARC = 0.005  # metres; shorter single arcs are not driven
+SLIVER = 1e-4  # metres; shorter pieces are left out of a path
+NEAR_POINTS = 0.1  # maximum metres between a path and the polyline of points that represents it
 
 Point2 = tuple[float, float]
 
 
 class Wish(msgspec.Struct, frozen=True, array_like=True):
-    """What a question says besides: radians, seconds."""
+    """Further data of a question to a car's planner: radians, seconds."""
 
-    yaw: float = 0.0  # of the car
-    gear: int = 0  # the direction in which it rolls; 0: it stands
-    heading: float | None = None  # wished for at the goal
-    arrival: float | None = None  # one that an earlier way ends with: a way that is planned anew agrees with its begin
-    patience: float = 0.0  # when nothing has been found in the question's seconds, go on until so many
+    yaw: float = 0.0  # yaw of the car
+    gear: int = 0  # direction in which the car rolls: 1 forward, -1 reverse, 0: it stands
+    heading: float | None = None  # required heading at the goal; None: any
+    arrival: float | None = None  # heading at the end of the present path, also tried, so that a new path resembles it
+    patience: float = 0.0  # time limit if no path was found within the question's `seconds`
 
 
 class Plan(msgspec.Struct, frozen=True, array_like=True):
-    """What an answer tells besides: the curve. No pieces: the planner was a user's own, which knows points alone."""
+    """Further data of an answer: the curve. A user's own planner, which plans points only, gives none."""
 
     start: Triple
     pieces: tuple[Piece, ...]
@@ -41,8 +40,9 @@ class Plan(msgspec.Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class PathPose:
-    """A pose on a path: metres and radians in local ENU, `yaw` running on without jumps; curvature, 1/m, is
-    tan(steering)/wheelbase: positive when the wheels point to the left, in either gear."""
+    """Pose on a path: metres and radians in local ENU; `yaw` is continuous along the path.
+
+    `curvature` (1/m) is tan(steering)/wheelbase: positive if the wheels point to the left, in either gear."""
 
     x: float
     y: float
@@ -52,7 +52,7 @@ class PathPose:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A part of a path in one gear: direction 1 is forward, -1 reverse. At least two poses."""
+    """Part of a path in one gear: direction 1 is forward, -1 reverse. It has two poses or more; length in metres."""
 
     direction: int
     poses: tuple[PathPose, ...]
@@ -61,7 +61,7 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """The rectangle that the car's reference point stays in, metres, local ENU."""
+    """Rectangle in which the car's reference point stays, metres, local ENU."""
 
     west: float
     south: float
@@ -76,13 +76,14 @@ class Area:
         return min(x - self.west, self.east - x, y - self.south, self.north - y)
 
     def with_point(self, x: float, y: float) -> Area:
-        """The smallest area that contains this one and a point: noise can put a car that stands at the fence outside
-        of it; from there, it may come back in."""
+        """Return the smallest area that contains this one and a point.
+
+        It is used because position noise can put a car at the geofence outside of it; the car may then come back in."""
         return Area(min(self.west, x), min(self.south, y), max(self.east, x), max(self.north, y))
 
 
 def segments(curve: Curve) -> list[Segment]:
-    """A curve as the tracker takes it."""
+    """Return a curve as segments for the tracker."""
     found = []
     at = curve.start
     for forward, group in groupby((p for p in curve.pieces if abs(p[1]) > SLIVER), key=lambda piece: piece[1] > 0):
@@ -97,7 +98,7 @@ def segments(curve: Curve) -> list[Segment]:
 
 
 def price(pieces: tuple[Piece, ...], gear: int = 0) -> float:
-    """What it costs to drive them, in metres; `gear` is the direction in which the car rolls now (0: it stands)."""
+    """Return the cost of driving these pieces, in metres. `gear`: direction in which the car rolls (0: it stands)."""
     total = 0.0
     for _, way in pieces:
         total += way if way > 0 else -way * (1 + REVERSE_PRICE)

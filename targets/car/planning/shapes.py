@@ -1,7 +1,7 @@
-"""What stands on the ground, seen from above: convex polygons with a radius, and how far a car's outline is from them.
+"""Obstacles on the ground in two dimensions: convex shapes with a radius, and the car outline's distance from them.
 
-A disc is a point with a radius, another robot's way a line with one; a box, a cell or a triangle of a mesh is a
-polygon. Of an obstacle counts what is between the ground and the car's height. Metres, local ENU.
+A disc is a point with a radius. Another robot's path consists of lines with a radius. A box, a grid cell or a triangle
+of a mesh is a polygon. Only the part of an obstacle between the ground and the car's height counts. Metres, local ENU.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ Place = tuple[float, float]
 Core = tuple[Place, ...]  # corners, counter-clockwise; one or two are a point and a line
 Bounds = tuple[float, float, float, float]  # west, south, east, north
 
-NEXT = 0.05  # metres beyond its clearance from which on nothing is near to a start
-OVERLAP = -1.0  # metres: the distance of what has a point in common with the footprint
+NEXT = 0.05  # metres beyond the clearance within which a grid cell counts as near to the start
+OVERLAP = -1.0  # returned as the distance (m) of a shape that overlaps the footprint
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """All that is no farther than `radius` from a convex core, and the box around it. `name` is for people; `upright`
-    is a core that is its own box."""
+    """Set of the places within `radius` (m) of a convex core, with its bounding box.
+
+    `name` is for messages. `upright`: the core is an axis-parallel box."""
 
     core: Core
     radius: float
@@ -42,7 +43,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """The car's outline on the ground: a rectangle, in the frame of the rear axle's middle; metres."""
+    """Outline of the car on the ground: a rectangle in the frame of the rear axle's middle; metres."""
 
     length: float
     width: float
@@ -54,15 +55,15 @@ class Footprint:
 
     @property
     def reach(self) -> float:
-        """Of its farthest corner from the reference point."""
+        """Distance of the outline's farthest corner from the reference point."""
         return math.hypot(max(self.front, self.overhang), self.width / 2)
 
     def pace(self, curvature: float) -> float:
-        """Return the way that any place of the outline makes at most while the reference point makes one metre."""
+        """Return the most metres that a place of the outline moves per metre of the reference point."""
         return math.hypot(1 + curvature * self.width / 2, curvature * max(self.front, self.overhang))
 
     def distance(self, x: float, y: float, yaw: float, shape: Shape) -> float:
-        """From the outline at a pose to a shape, exactly; below 0 when they have a point in common."""
+        """Return the exact distance of the outline at a pose from a shape; below 0 if they overlap."""
         c, s = math.cos(yaw), math.sin(yaw)
         if shape.upright:
             gap = _to_box(self, x, y, c, s, shape.bounds)
@@ -167,14 +168,16 @@ def _to_polygon(body: Footprint, corners: list[Place]) -> float:
 
 
 def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
-    """Those of the fleet file, as far as a car of that height meets them, named by their number in it."""
+    """Return the shapes of the fleet file's obstacles that a car of this height meets, named by their number."""
     return [shape for number, body in enumerate(obstacles) for shape in _shapes(body, height, f"obstacle {number}")]
 
 
 def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iterator[Shape]:
-    """What a program names, as high as anything, and other robots' ways, as wide as this car is long, but for those
-    that lead over it. Cells that touch are one shape, but for those that the start is near to: the car may leave
-    these, not the whole wall."""
+    """Yield shapes of the obstacles that a program passes, and of other robots' paths, except those above the car.
+
+    A program's obstacles count as infinitely high. Other robots' paths are widened by this car's reach. Touching cells
+    are joined to one shape. Cells near the start stay single, because the lowered distance of a shape near the start
+    must apply to these cells only, and not to a whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     reach = body.reach + clearance + NEXT
     for grid in scene.grids:

@@ -1,4 +1,4 @@
-"""Looks at a car without moving it: whether its motor controller answers, and how well the position feed arrives."""
+"""Pre-flight checks of a car, without motion: drive, watchdog, position source, settings and motor lag."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from targets.car.drive.drive import Drive, opened
 from targets.car.drive.links import Links
 from targets.car.drive.watchdog import LATE
 
-STALE = 0.3  # seconds without a sample of the position feed: brake
-_STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
-_DRIVE_STEPS = 110  # a drive that is silent for 5 s says so by itself
-_CHECK_STEPS = 100  # more, in which a drive that answers is asked for its settings
-_WATCHED = 1.0  # seconds for which a feed is watched
-LEAST_RATE = 10.0  # Hz
-LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
-MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
+STALE = 0.3  # seconds without a position sample after which the car brakes
+_STEP, _STEPS = 0.05, 60  # seconds of one poll, and maximum number of polls of a check
+_DRIVE_STEPS = 110  # polls to wait for the drive's answer; a silent drive raises Unready after 5 s
+_CHECK_STEPS = 100  # further polls in which a drive that answers is asked for its parameters
+_WATCHED = 1.0  # seconds for which a position feed is measured
+LEAST_RATE = 10.0  # Hz; a position source with a lower rate gets a warning
+LEAST_STEERING = 0.8  # share of max_steering that the servo's range must allow; below, there is a warning
+MOST_ERPM = 100_000.0  # default of l_max_erpm in the VESC firmware
 
 
 def limits(settings: CarSettings, fence: Box) -> Finding:
-    """Return whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
+    """Check that the settings are consistent with each other and with the geofence.
+
+    Calibrated settings cannot be checked without driving the car."""
     radius, room = settings.planned_radius, min(fence.hi.x - fence.lo.x, fence.hi.y - fence.lo.y)
     erpm = 0.0 if settings.is_rover else abs(settings.max_speed * settings.speed_to_erpm_gain)
     share = settings.max_speed / settings.full_speed
@@ -54,7 +56,7 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
 
 
 def slow(lag: float) -> str:
-    """Return a motor's lag (s) that is too long, and what to do about it, in words."""
+    """Return a warning about a motor lag (s) that is too long, with remedies."""
     return (
         f"the motor follows its commands with a lag of {lag:.1f} s, the car is driven exactly up to {LONGEST_LAG:g} s: "
         "it overshoots and may circle its targets; tune the motor controller's speed loop, raise a rover's "
@@ -63,7 +65,7 @@ def slow(lag: float) -> str:
 
 
 def lag_findings(lag: float | None) -> list[Finding]:
-    """Return the motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
+    """Check the motor's lag that was measured when the car drove last; no check if none was stored."""
     if lag is None:
         return []
     told = f"{lag:.1f} s when the car drove last"
@@ -73,7 +75,7 @@ def lag_findings(lag: float | None) -> list[Finding]:
 
 
 def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Return whether the drive answers, and its report. Opens and closes the drive."""
+    """Check that the drive answers and reports no fault, and its parameters. Opens and closes the drive."""
     try:
         drive = opened(settings, links, frame)
     except Unready as error:
@@ -107,7 +109,7 @@ def _answering(drive: Drive) -> Finding:
 
 
 def watchdog_finding(links: Links) -> Finding:
-    """Return whether a watchdog can be started and answers; what it holds meanwhile is nothing."""
+    """Check that a watchdog process can be started and answers. It holds the null device meanwhile."""
     watch = links.watchdog()
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -126,7 +128,9 @@ def watchdog_finding(links: Links) -> Finding:
 
 
 def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
-    """Whether positions arrive, how often, how old, and whether where they should; the port is opened and closed."""
+    """Check rate and age of the position feed's samples, and that the position is inside the geofence.
+
+    Opens and closes the feed's port."""
     try:
         datagrams = links.position(settings.position)
     except Unready as error:
@@ -152,7 +156,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
 
 
 def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Return the same of a drive that knows where it is; it is opened and closed."""
+    """Check rate and place of the positions that the drive itself estimates. Opens and closes the drive."""
     came: list[float] = []
     place = Point()
     try:
@@ -189,7 +193,7 @@ def _placed(p: Point, fence: Box) -> Finding:
 
 
 def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:
-    """`came`: when each sample arrived; `end`: when the look ended; seconds."""
+    """Check rate, age and gaps of samples. Times in s: `came`: arrival of each sample; `end`: end of the check."""
     rate = sum(t > came[0] for t in came) / max(end - came[0], _STEP)
     gap = max(b - a for a, b in pairwise([*came, end]))
     found = f"{rate:.0f} Hz on {settings.position}, {oldest * 1e3:.0f} ms old, longest gap {gap:.2f} s"

@@ -1,4 +1,4 @@
-"""A car's platform in a simulator that owns time, and the watchdog that brakes the car when its agent falls silent."""
+"""Car platform for a simulator that controls time, with a simulated watchdog that brakes if the agent is silent."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ from targets.planning.process import bounded
 
 
 def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Car:
-    """See koordgen.runtime.vehicle.simulator_services."""
+    """Return a car whose links, clock and planners are the simulator's.
+
+    See koordgen.runtime.vehicle.simulator_services."""
     return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
 
 
 class InsideLinks:
-    """Implements `links.Links`."""
+    """Links in the simulator: implements `links.Links`."""
 
     def __init__(self, inside: SimulatorServices) -> None:
         self._inside = inside
@@ -54,18 +56,20 @@ class InsideLinks:
         return watching
 
     def wait(self, seconds: float) -> None:
-        """`diagnose` is not for simulators."""
+        """Do nothing: only `diagnose` waits, and it does not run in simulators."""
 
     def remember(self, lag: float) -> None:
-        """Nobody asks for it."""
+        """Do nothing: only `diagnose` reads the stored lag, and it does not run in simulators."""
 
     def remembered(self) -> float | None:
         return None
 
 
 class Watching:
-    """Implements `watched.Watch` as watchdog.py does: brakes when no command has come for LATE seconds, until LAST
-    seconds after the last one that was looked for. It answers at once, and nothing but the world ends it."""
+    """Simulated watchdog: implements `watched.Watch`.
+
+    Like watchdog.py, it brakes if no command arrives for LATE seconds. It brakes for LAST seconds, also if the agent
+    lives. It always answers at once, and runs until the simulation ends."""
 
     trouble = ""
 
@@ -92,7 +96,7 @@ class Watching:
         pass
 
     def step(self, now: float) -> None:
-        """The watchdog's own life."""
+        """Run the watchdog at simulation time `now`: brake if commands are late."""
         if now < self._due or self._brake is None or now > self._commanded + LATE + LAST:
             return
         self._due = now + PERIOD

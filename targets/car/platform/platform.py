@@ -1,8 +1,7 @@
-"""The car behind the ports of Motion and MotionWithScan: goes to points, holds, comes to rest. One polled state
-machine at 20 Hz.
+"""Platform of the car: serves the ports of Motion and MotionWithScan. It is a state machine that is polled at 20 Hz.
 
-`position` is the middle of the rear axle, in local ENU, z = 0; that is also the point that comes to a target,
-whose z is ignored, and the point that the position feed must give.
+`position` is the middle of the rear axle, in local ENU, with z = 0. The car brings this point to a target, whose z is
+ignored. The position feed must report this point, too.
 """
 
 from __future__ import annotations
@@ -44,17 +43,17 @@ from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
 from targets.planning.standstill import Standstill, Unplanned
 
-MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
-WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
-JUMPED = 1.0  # seconds of nothing but jumps after which the position source is no longer waited for
-BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
-STILL = 0.3  # seconds at standstill that make a rest
-PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
-SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
+MODULES = ("Motion", "MotionWithScan")  # one car under two names; the second has a lidar
+WAIT_FOR_FEED = 60.0  # seconds to wait for the first position: a base station may be started after the robots
+JUMPED = 1.0  # seconds in which all position samples jumped, after which the position source counts as failed
+BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed is unknown counts as standing
+STILL = 0.3  # seconds at standstill after which a safe stop is complete
+PASSED = 0.4  # metres from an intermediate point at which the car goes on to the next; only the last is reached exactly
+SLACK = 0.005  # seconds by which a poll may come early and still run the controller, because polls jitter
 
 
 class Car:
-    """koordgen.runtime.vehicle.platform.Platform for an F1/10-class car: drive and watchdog, position feed over UDP."""
+    """Platform of an F1/10-class car: implements koordgen.runtime.vehicle.platform.Platform."""
 
     period = STEP
 
@@ -66,7 +65,7 @@ class Car:
         planning: MakePlanning = Beside,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        """`clock` times the controller's solver."""
+        """`clock` measures the run time of the controller's solver."""
         self._settings = decode(settings.body)
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks(_notes(settings))
@@ -89,11 +88,11 @@ class Car:
         self._still_since: float | None = None
         self._resting_since: float | None = None
         self._holding = False
-        self._blocked = ""  # why the car brakes, in words; "" when it does not
+        self._blocked = ""  # reason why the car brakes, in words; "" if it does not
         self._unplanned = Unplanned()
         self._lag = Lag()
-        self._slow: bool | None = None  # whether the lag is too long, as the log says; None: it is not known yet
-        self._stood = False  # whether it stood when the position source began to jump
+        self._slow: bool | None = None  # whether the motor's lag was reported as too long; None: not known yet
+        self._stood = False  # whether the car stood when the position source began to jump
         self._news: list[str] = []
 
     def diagnose(self) -> list[Finding]:
@@ -122,7 +121,7 @@ class Car:
         return Finding("controller", "ok", "the MPC loads")
 
     def start(self, now: float) -> None:
-        self._navigator = self._build()  # first: it may compile for seconds, in which an open link's buffers would fill
+        self._navigator = self._build()  # before the links: compiling may take seconds, their buffers would fill
         if self._navigator.note:
             self._news.append(self._navigator.note)
         self._open()
@@ -130,7 +129,7 @@ class Car:
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
-        """Open the links that are not open: the sockets first, for opening a VESC's port can take a moment."""
+        """Open the links that are not open yet; the sockets first, because opening a VESC's port can take a moment."""
         if self._datagrams is None:
             self._datagrams = self._links.position(self._settings.position)
             self._feed.hear(self._datagrams)
@@ -154,7 +153,7 @@ class Car:
             drive = self._read(now)
         except Unready:
             if self._drive is not None:
-                with suppress(Unready):  # what we no longer hear may still hear us
+                with suppress(Unready):  # a drive that no longer answers may still receive commands
                     self._drive.brake(now)
             raise
         if now < self._next_control - SLACK:
@@ -188,7 +187,7 @@ class Car:
         return self._drive, self._datagrams
 
     def _locate(self, pose: Pose, measured: float, now: float) -> None:
-        """Take a sample of the position source; what jumps is refused and counted."""
+        """Process a sample of the position source. Jumps are rejected and counted."""
         believed = self._estimator.refused(now) == 0.0
         if self._estimator.correct(pose, measured, now):
             return
@@ -208,11 +207,11 @@ class Car:
             hint = "does the motion capture system take another body, or its mirror image, for this one?"
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
-        self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: believed")
+        self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted")
 
     def _no_position(self, waited: float) -> Unready:
         if self._settings.position == FROM_DRIVE:
-            hint = "does its EKF know its place and heading? Else give the car a position feed"
+            hint = "does the rover's EKF have a position and a heading? Else give the car a position feed"
             return Unready(f"the rover has not told where it is for {waited:.0f} s", hint)
         return Unready(*self._feed.silent(self._settings.position, waited))
 
@@ -252,7 +251,7 @@ class Car:
         self._lag.reset()
 
     def _judge_lag(self) -> None:
-        """Say when the motor turns out to be slower than the controller was made for, and when it no longer is."""
+        """Log when the motor's lag becomes longer than the controller is designed for, and when it no longer is."""
         lag = self._lag.seconds
         if lag is None or self._slow == is_long(lag):
             return
@@ -270,14 +269,16 @@ class Car:
         return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
     def _ahead(self, command: Command) -> str:
-        """Name of what the car could no longer be braked before if it obeyed this command; "" if there is nothing."""
+        """Return the name of what the car could hit, although it brakes, if it obeyed this command; "" if nothing.
+
+        It is the geofence, or an obstacle of the fleet file."""
         own, state = self._settings, self._estimator.state
         if not stops_inside(self._fence, state, command, own.braking, own.wheelbase):
             return "the geofence"
         return self._avoidance.ahead(state, braked(state, command, own.braking, own.wheelbase))
 
     def _follow(self, navigator: Navigator) -> None:
-        """Make for the next point of a path when one on the way has been passed."""
+        """Go on to the next point of the path if the car is near the present one."""
         goal, state = self._route.goal, self._estimator.state
         if goal is None or self._route.last or math.dist((state.x, state.y), (goal.x, goal.y)) >= PASSED:
             return
@@ -285,7 +286,7 @@ class Car:
             navigator.go_to((following.x, following.y))
 
     def _obstacle(self, drive: Drive, now: float) -> str:
-        """Return the reason that forbids driving now; "" if there is none."""
+        """Return the reason why the car must not drive now, in words; "" if it may."""
         if self._resting_since is not None:
             return "at rest" if self.rested else "braking to rest"
         if drive.blocked:
@@ -357,7 +358,7 @@ class Car:
             self._go(points, self._navigator)
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Resumes. The ways to the points that are ahead are planned one after another, as to single targets."""
+        """See Resumes. The paths to the points ahead are planned one after another, as for single targets."""
         if self._navigator is None:
             return
         state = self._estimator.state
@@ -375,8 +376,10 @@ class Car:
                 self._navigator.go_to((goal.x, goal.y))
 
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
-        """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in
-        place of what leads into an obstacle of the fleet file the car holds, and says so."""
+        """Follow commanded points.
+
+        If the planner has returned these points, follow the drivable path that it planned with them. Otherwise, a path
+        to each point is planned. If the points lead into an obstacle of the fleet file, hold instead, and report it."""
         if points:
             self._unplanned.commanded()
         held = self._avoidance.refusal
@@ -397,7 +400,7 @@ class Car:
         navigator.follow(curve, state)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only one is `planner(goal, obstacles)`."""
+        """See Platform. The only callable port is `planner(goal, obstacles)`."""
         gear = self._navigator.gear if self._navigator is not None else 0
         path = self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
         self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
@@ -421,7 +424,7 @@ class Car:
 
     @property
     def rested(self) -> bool:
-        """Braked and standing; when nobody measures the speed any more, braked for a while."""
+        """True once the car has stood for STILL seconds; if its speed is unknown, once it has braked long enough."""
         since = self._resting_since
         if since is None:
             return False
@@ -440,7 +443,7 @@ class Car:
 
 
 def _notes(settings: Settings) -> Path | None:
-    """Return the file beside the bundle in which the motor's lag is kept."""
+    """Return the file beside the bundle in which the motor's lag is stored; None if nothing is stored."""
     if settings.state is None:
         return None
     return Path(__file__).resolve().parents[4] / settings.state / f"{settings.robot}.lag"

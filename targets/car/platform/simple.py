@@ -1,5 +1,7 @@
-"""A car without a motor controller: the ports of a car over a body that drives as it is told, for simulators, of
-fidelity `simple`. All else is the car's own: estimator, planner, controller, geofence, rest.
+"""Platform of a car without a motor controller, on a simulated vehicle that follows commanded speed and steering.
+
+For simulations of fidelity `simple`. Everything else is that of the real car: estimator, planner, controller, geofence
+and safe stop.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from targets.planning.process import Beside, bounded
 
 
 class Seen(Protocol):
-    """What is known of a body: position (m) and velocity (m/s) of the middle of the rear axle, ENU, and yaw (rad)."""
+    """State of the simulated car: position (m) and velocity (m/s) of the middle of the rear axle, ENU; yaw (rad)."""
 
     @property
     def position(self) -> tuple[float, float, float]: ...
@@ -37,10 +39,10 @@ class Seen(Protocol):
 
 
 class Driver(Protocol):
-    """The body. It goes on with what it was asked for last."""
+    """Simulated car. It drives on with the last command."""
 
     def state(self) -> Seen | None:
-        """None: its position is not known now."""
+        """Return the state, or None if the position is unknown now."""
         ...
 
     def drive(self, speed: float, steering: float) -> None: ...
@@ -49,7 +51,7 @@ class Driver(Protocol):
 
 
 class BodyDrive:
-    """Implements `drive.Drive`; knows where the car is, as a rover does."""
+    """Drive of a simulated car: implements `drive.Drive`. Like a rover, it reports the car's pose."""
 
     heard = True
     fault = blocked = doubt = ""
@@ -70,10 +72,10 @@ class BodyDrive:
         return seen.velocity[0] * math.cos(seen.yaw) + seen.velocity[1] * math.sin(seen.yaw)
 
     def ask(self, now: float) -> None:
-        """It tells without being asked."""
+        """Do nothing: the simulated car reports its state unasked."""
 
     def checks(self, now: float) -> list[Finding]:
-        """See Drive: it has no settings."""
+        """See Drive: a simulated car has no parameters to check."""
         return []
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:
@@ -95,7 +97,9 @@ class BodyDrive:
 
 
 class SimpleCar(Car):
-    """Implements koordgen.runtime.vehicle.platform.Platform. `links` are asked for scans alone."""
+    """Platform of a simulated car: implements koordgen.runtime.vehicle.platform.Platform.
+
+    `links`: used for lidar scans only."""
 
     def __init__(
         self,
@@ -110,7 +114,7 @@ class SimpleCar(Car):
         self._body = body
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: there is nothing to look at."""
+        """See Platform: a simulated car has nothing to check."""
         return [Finding("body", "ok", "a simple one")]
 
     def _open(self) -> tuple[Drive, Nowhere]:
@@ -121,5 +125,5 @@ class SimpleCar(Car):
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, body: Driver) -> SimpleCar:
-    """In a simulator that owns time; see koordgen.runtime.vehicle.simulator_services."""
+    """Return the platform for a simulator that controls time; see koordgen.runtime.vehicle.simulator_services."""
     return SimpleCar(settings, key, body, InsideLinks(surroundings), partial(bounded, surroundings), surroundings.now)

@@ -1,6 +1,6 @@
-"""Autopilot: what is sent to it, and what it says.
+"""Autopilot interface: commands sent to a quad's autopilot and telemetry received from it.
 
-Owns: firmware facts, telemetry, checks, positions from outside, the life of a flight.
+Owns: firmware facts, telemetry, pre-flight checks, external positioning, the phases of a flight.
 Offers: `flight.Flight`, `positioning`, `diagnosis`.
 Must not import: `motion`, `platform`.
 """

@@ -1,4 +1,7 @@
-"""Listens to an autopilot for some seconds without moving anything, and asks it what it does not tell by itself."""
+"""Recording of an autopilot's messages for a pre-flight check that takes some seconds and moves nothing.
+
+Messages that the autopilot does not send unasked are requested.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,13 @@ from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.telemetry import Streams, Telemetry
 from targets.quad.autopilot.vehicles import identified
 
-SILENCE = 5.0  # seconds without a heartbeat (one per second is sent) that end the check
-DEADLINE = 9.5  # seconds for a position estimate to come
-WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
-_PAUSE = 0.05
-GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
+SILENCE = 5.0  # seconds without any heartbeat after which the check ends; autopilots send one per second
+DEADLINE = 9.5  # seconds within which the first position estimate must arrive
+WATCHED = 3.0  # seconds of recording after the first position estimate, to measure the rates of the message streams
+_PAUSE = 0.05  # seconds between two polls of the link
+GROUND_SLACK = 0.5  # metres that the robot on the ground may be below the geofence: altitude estimates have errors
 
-# What is asked for once a second.
+# Messages that are requested once a second, because they are not streamed.
 SELDOM = (
     mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
@@ -36,29 +39,30 @@ SELDOM = (
 
 @dataclass
 class Heard:
-    """What an autopilot has told: of each message the first time, the last time (seconds) and how often since the
-    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME;
-    from `began` to `ended` it was listened to."""
+    """Record of one autopilot's messages during a check.
+
+    The dictionaries are keyed by MAVLink message id. Times are seconds on the agent's clock, unless stated otherwise.
+    """
 
     link: Link
     telemetry: Telemetry
-    first: dict[int, float] = field(default_factory=dict)
-    last: dict[int, float] = field(default_factory=dict)
-    count: dict[int, int] = field(default_factory=dict)
-    newest: dict[int, Message] = field(default_factory=dict)
+    first: dict[int, float] = field(default_factory=dict)  # arrival of the first message
+    last: dict[int, float] = field(default_factory=dict)  # arrival of the last message
+    count: dict[int, int] = field(default_factory=dict)  # number of messages after the first one
+    newest: dict[int, Message] = field(default_factory=dict)  # the last message
     parameters: Parameters | None = None
-    wall: float = 0.0
-    began: float = 0.0
-    ended: float = 0.0
-    examined: bool = False  # whether it was asked to run its checks, the results of which it says
+    wall: float = 0.0  # this computer's time of day (seconds since 1970) when the last SYSTEM_TIME arrived
+    began: float = 0.0  # start of the record
+    ended: float = 0.0  # end of the record
+    examined: bool = False  # whether the autopilot was asked to run its pre-arm checks; it reports them as STATUSTEXT
 
     def ask(self) -> None:
-        """Ask for what does not come by itself."""
+        """Request the messages that the autopilot does not stream."""
         for number in SELDOM:
             self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def take(self, message: Message, now: float) -> None:
-        """One of the vehicle's messages."""
+        """Record one message of the vehicle, received at `now`."""
         number = message.get_msgId()
         self.first.setdefault(number, now)
         self.count[number] = self.count.get(number, -1) + 1
@@ -69,7 +73,7 @@ class Heard:
             self.parameters.take(message)
 
     def rate(self, message: int) -> float:
-        """Hz; 0 when less than two have come."""
+        """Return the mean rate of a message (Hz); 0 if fewer than two were received."""
         span = self.last.get(message, 0.0) - self.first.get(message, 0.0)
         return self.count[message] / span if span > 0.0 else 0.0
 
@@ -79,8 +83,10 @@ def listen(
     meanwhile: Callable[[list[Message], float], None],
     clock: Callable[[], float], sleep: Callable[[float], None], wall: Callable[[], float],
 ) -> Heard:  # fmt: skip
-    """Within DEADLINE + WATCHED seconds; sooner when nothing more is to be expected. `meanwhile` is called with what
-    came since, and the time."""
+    """Record the autopilot's messages for at most DEADLINE + WATCHED seconds.
+
+    The record ends sooner if no further messages are to be expected. `meanwhile` is called once per poll with the
+    messages received since the poll before, and the time."""
     heard, streams = Heard(link, Telemetry(frame)), Streams()
     asked, known = -math.inf, math.inf
     begun = now = clock()
@@ -120,13 +126,15 @@ def listen(
 
 
 def coordinates(p: Point) -> str:
-    """Return a point in words, to the centimetre and without negative zeros."""
+    """Return a point as text, in metres with two decimals and without negative zeros."""
     x, y, z = (round(v, 2) + 0.0 for v in (p.x, p.y, p.z))
     return f"({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def misplaced(fence: Box, height: float, p: Point) -> str:
-    """Why a take-off from p to that height would be wrong, or nothing."""
+    """Return why the quad must not take off at p to `height` (m), or "" if it may.
+
+    It must not take off outside the geofence, nor where the ground is at the flight height or above."""
     q = clamp(fence, p)
     if (q.x, q.y) != (p.x, p.y) or p.z > q.z or p.z < q.z - GROUND_SLACK:
         return (
@@ -139,7 +147,7 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
 
 
 def unheard(url: str, link: Link, seconds: float) -> Unready:
-    """Return what to say of a vehicle that is silent."""
+    """Return the error for an autopilot from which nothing was heard for `seconds`, with a hint on the cause."""
     if link.heard is not None:
         heard = "the autopilot has fallen silent"
     else:
@@ -160,5 +168,5 @@ RIVAL = (
 
 
 def stranger(url: str, what: str) -> Unready:
-    """Return what to say of a vehicle that is no copter of ours."""
+    """Return the error for a vehicle that is not an ArduPilot or PX4 copter; `what` describes it."""
     return Unready(f"{url} is {what}, not an ArduPilot or PX4 copter", "check the robot's `autopilot` setting")

@@ -1,4 +1,8 @@
-"""What `listen` heard of an autopilot, judged: is it the right one, does it know where it is, may it take off there."""
+"""Pre-flight checks of the recorded messages of an autopilot.
+
+They check the link, the firmware, the parameters, the position estimate, the place, the battery, the clock, and the
+autopilot's own pre-arm checks.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,13 @@ from targets.mavlink.framing import Message
 from targets.quad.autopilot.check import DEADLINE, RIVAL, Heard, coordinates, misplaced, stranger, unheard
 from targets.quad.autopilot.vehicles import identified
 
-CHARGE, LEAST_CHARGE = 50, 20  # percent
-LEVEL = 1.0  # metres: the ground may be so much off z = 0
-FAR_ORIGIN = 1000.0  # metres
-CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
-VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
-SLOW = 0.7  # of the rate that was asked for
-STARTING = 30.0  # seconds since its boot in which an autopilot sends more slowly than asked
+CHARGE, LEAST_CHARGE = 50, 20  # battery charge in percent: less is a warning, or a failed check
+LEVEL = 1.0  # metres that the ground may be above or below z = 0 without a warning
+FAR_ORIGIN = 1000.0  # metres between the EKF's origin and the fleet's origin, above which there is a warning
+CLOCKS = 1.0  # seconds that the autopilot's time of day may differ from this computer's without a warning
+VARIANCE = 0.8  # innovation test ratio at which ArduPilot's EKF failsafe acts (the default of FS_EKF_THRESH)
+SLOW = 0.7  # share of the requested rate of a stream, below which there is a warning
+STARTING = 30.0  # seconds after its boot in which an autopilot may send more slowly than requested
 _FLAGS = {
     mavlink.EKF_ATTITUDE: "attitude",
     mavlink.EKF_VELOCITY_HORIZ: "horizontal velocity",
@@ -28,7 +32,8 @@ _FLAGS = {
 }
 RELEASE, _TYPES = 255, {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # FIRMWARE_VERSION_TYPE
 _REFUSALS = ("PreArm:", "Arm:", "Preflight Fail:")
-# Not the remote control, which may be absent, nor the motors, which a safety switch holds.
+# Sensors whose failure is a warning. Not among them: the remote control, which may be absent, and the motor outputs,
+# which a safety switch may block.
 _SENSORS = {
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO: "gyro",
     mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL: "accelerometer",
@@ -43,7 +48,7 @@ _SENSORS = {
 
 
 def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
-    """Return what there is to say, what is to be repaired first coming first."""
+    """Return the results of all checks; the failure to repair first comes first."""
     link = heard.link
     if link.vehicle is None:
         return [Finding.of("link", unheard(url, link, heard.ended - heard.began))]
@@ -118,28 +123,33 @@ def _armed(heard: Heard) -> list[Finding]:
 
 
 def _estimate(heard: Heard) -> Finding:
-    """Return the estimator's flags (equal bits in both reports) and its innovation ratios."""
+    """Check the state estimator (EKF): its flags, and its largest innovation test ratio.
+
+    The flags have equal bits in ArduPilot's EKF_STATUS_REPORT and PX4's ESTIMATOR_STATUS."""
     report = heard.newest.get(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
     report = report or heard.newest.get(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS)
     if heard.telemetry.position is None:
         hint = "it takes about 45 s from power-up, and a positioning source that works"
         flags = "no report of the EKF" if report is None else f"EKF flags {report.flags:#x}"
         return Finding("estimate", "fail", f"no position estimate yet: {flags}", f"one within {DEADLINE:g} s", hint)
-    if report is None:  # there is no position without one
+    if report is None:  # unexpected: `Telemetry` accepts a position only with such a report
         return Finding("estimate", "warn", "no report of the EKF", "one, 5 times a second", "is the link lossy?")
     lacking = [name for flag, name in _FLAGS.items() if not report.flags & flag]
     if lacking:
         return Finding("estimate", "fail", f"the EKF lacks {', '.join(lacking)}", why="calibrate, wait, or reboot it")
     worst, name = max(_disagreements(report))
-    told = f"EKF flags {report.flags:#x}, largest disagreement {worst:.2f} of {name}"
-    if not worst < 0.5:  # NaN among them
-        hint = f"its sensors disagree about {name}; at 1 the autopilot refuses or lands by itself"
+    told = f"EKF flags {report.flags:#x}, largest innovation {worst:.2f} of its limit: {name}"
+    if not worst < 0.5:  # also if it is NaN
+        hint = f"the EKF's sensors disagree about {name}; at 1 the autopilot refuses to arm, or lands by itself"
         return Finding("estimate", "warn" if worst < 1.0 else "fail", told, "less than 0.5", hint)
     return Finding("estimate", "ok", told)
 
 
 def _disagreements(report: Message) -> list[tuple[float, str]]:
-    """By kind, as a part of what the firmware bears."""
+    """Return the innovation test ratios, each divided by the firmware's limit, and the names of their quantities.
+
+    ESTIMATOR_STATUS (PX4): the limit is 1, at which the EKF rejects the measurement. EKF_STATUS_REPORT (ArduPilot): its
+    fields are named variances, but are such ratios (NavEKF3 getVariances); the limit is that of the EKF failsafe."""
     if report.get_msgId() == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
         ratios = report.vel_ratio, report.pos_horiz_ratio, report.pos_vert_ratio, report.mag_ratio
     else:
@@ -165,7 +175,7 @@ def _place(heard: Heard, fence: Box, height: float) -> list[Finding]:
 
 
 def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
-    """Return the EKF's own origin: where the vehicle was when it learned its position."""
+    """Check the distance of the EKF's own origin, set where the vehicle first knew its position, from the fleet's."""
     message = heard.newest.get(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
     if message is None:
         return []
@@ -196,7 +206,9 @@ def _name(message: int) -> str:
 
 
 def _battery(heard: Heard) -> list[Finding]:
-    """Check the battery by SYS_STATUS: millivolts (0 or 65535: not measured) and percent (-1: not measured)."""
+    """Check the battery voltage and charge in SYS_STATUS.
+
+    Voltage: millivolts; 0 or 65535 means not measured. Charge: percent; -1 means not measured."""
     status = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
     if status is None:
         return []
@@ -205,7 +217,7 @@ def _battery(heard: Heard) -> list[Finding]:
         return [Finding("battery", "warn", "not measured", why=hint)]
     volts, charge = f"{status.voltage_battery / 1e3:.1f} V", status.battery_remaining
     if charge < 0:
-        return [Finding("battery", "ok", f"{volts}, charge not told")]
+        return [Finding("battery", "ok", f"{volts}, charge not reported")]
     told = f"{volts}, {charge} %"
     if charge < CHARGE:
         state: State = "fail" if charge < LEAST_CHARGE else "warn"
@@ -229,7 +241,9 @@ def _clock(heard: Heard) -> list[Finding]:
 
 
 def _checks(heard: Heard) -> list[Finding]:
-    """What the autopilot says of its own health: SYS_STATUS, and its words since it was asked to run its checks."""
+    """Return the autopilot's report of its own health.
+
+    It consists of the sensor health bits of SYS_STATUS and of the STATUSTEXT messages of its pre-arm checks."""
     found = []
     texts = [text for _, severity, text in heard.link.texts if severity <= mavlink.MAV_SEVERITY_WARNING]
     refusals = list(dict.fromkeys(text for text in texts if text.startswith(_REFUSALS)))
@@ -245,7 +259,7 @@ def _checks(heard: Heard) -> list[Finding]:
     if sick := [name for flag, name in _SENSORS.items() if failing & flag]:
         found.append(Finding("sensors", "warn", f"not healthy: {', '.join(sick)}", "all", "calibrate or repair them"))
     if refusals or (failing & mavlink.MAV_SYS_STATUS_PREARM_CHECK and not heard.telemetry.armed):
-        told = "; ".join(refusals) or "its checks fail, and it does not say which"
+        told = "; ".join(refusals) or "the autopilot's pre-arm checks fail, and it does not report which"
         found.append(Finding("checks", "fail", told, why="the autopilot will refuse to arm"))
     if others:
         found.append(Finding("says", "warn", "; ".join(others), why="these are the autopilot's own warnings"))

@@ -1,9 +1,12 @@
-"""What is sent to an autopilot that is told where it is: GPS_INPUT, VISION_POSITION_ESTIMATE, ODOMETRY.
+"""MAVLink messages of external positioning: GPS_INPUT, VISION_POSITION_ESTIMATE and ODOMETRY.
 
-Poses come in the fleet's local ENU. GPS_INPUT is geodetic, its velocity and yaw in the NED axes of the place; the other
-two are in the NED frame about the autopilot's own EKF origin, which need not be the fleet's. Only yaw is measured:
-roll and pitch are sent as 0, and the EKF takes them from its own gyros. Nothing is sent that is not finite: a NaN in a
-used field aborts the autopilot's process.
+The poses to send are in the fleet's local ENU frame.
+GPS_INPUT is geodetic; its velocity and yaw are in the NED axes at the robot's position.
+VISION_POSITION_ESTIMATE and ODOMETRY are in the NED frame about the autopilot's own EKF origin, which need not be the
+fleet's origin.
+
+Of the attitude, only yaw is measured. Roll and pitch are sent as 0, and the EKF takes them from its own gyros. Values
+that are not finite are never sent, because a NaN in a used field aborts the autopilot's process.
 """
 
 from __future__ import annotations
@@ -16,16 +19,20 @@ from koordgen.runtime.values.geodesy import LocalFrame
 from koordgen.runtime.values.points import Point, Pose
 from targets.mavlink.framing import Message
 
-GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800  # seconds; 1980-01-06 in Unix time
-HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # metres, m/s: what a motion capture system errs by, generously
+# Start of GPS time (1980-01-06) in Unix time, leap seconds between GPS time and UTC, length of a week; all in seconds.
+GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800
+# Standard deviations that are reported to the EKF; generous ones for a motion capture system.
+HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # metres, metres, m/s
 ANGLE = 0.02  # radians
-_DILUTION, _SATELLITES = 0.5, 16  # better than what arming checks ask for
-# Upper triangles of 6 x 6 matrices, row by row; the diagonal stands at these places.
+_DILUTION, _SATELLITES = 0.5, 16  # dilution of precision and number of satellites: better than arming checks demand
+# Indices of the diagonal in a 6 x 6 covariance matrix that is sent as its upper triangle, row by row.
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def gps_input(frame: LocalFrame, pose: Pose, velocity: Point, unix: float) -> Message:
-    """Return a fix at `unix` (seconds since 1970): position, velocity (m/s, ENU), yaw and how good they are."""
+    """Return GPS_INPUT: a fix at `unix` (seconds since 1970) with position, velocity, yaw and their accuracies.
+
+    `velocity` is in m/s, ENU."""
     p = pose.position
     latitude, longitude, altitude = frame.geodetic(p.x, p.y, p.z)
     vn, ve, vd = frame.ned(latitude, longitude, velocity.x, velocity.y, velocity.z)
@@ -40,32 +47,36 @@ def gps_input(frame: LocalFrame, pose: Pose, velocity: Point, unix: float) -> Me
 
 
 class Ned:
-    """Brings poses of the fleet's frame to the NED frame about an EKF origin (degrees, degrees, metres AMSL)."""
+    """Conversion from the fleet's ENU frame to the NED frame about an EKF origin (degrees, degrees, metres AMSL)."""
 
     def __init__(self, frame: LocalFrame, latitude: float, longitude: float, altitude: float) -> None:
         self.origin = (latitude, longitude, altitude)
         self._fleet, self._ekf = frame, LocalFrame(latitude, longitude, altitude)
 
     def position(self, p: Point) -> tuple[float, float, float]:
-        """North, east, down, metres."""
+        """Return a position as metres north, east and down of the EKF origin."""
         east, north, up = self._ekf.enu(*self._fleet.geodetic(p.x, p.y, p.z))
         return north, east, -up
 
     def direction(self, v: Point, at: Point) -> tuple[float, float, float]:
-        """A velocity or direction at a point: its place's own axes are on the way from one frame to the other."""
+        """Convert a velocity or direction at the point `at` from ENU to NED.
+
+        It is turned to the NED axes at that point first, and from these to the axes of the EKF origin."""
         latitude, longitude, _ = self._fleet.geodetic(at.x, at.y, at.z)
         east, north, up = self._ekf.turned(latitude, longitude, *self._fleet.ned(latitude, longitude, v.x, v.y, v.z))
         return north, east, -up
 
     def yaw(self, pose: Pose) -> float:
-        """Radians clockwise from north, within -pi to pi."""
+        """Return a pose's yaw in radians clockwise from north, within -pi to pi."""
         north, east, _ = self.direction(Point(math.cos(pose.yaw), math.sin(pose.yaw), 0.0), pose.position)
         return math.atan2(east, north)
 
 
 def vision(ned: Ned, pose: Pose, time: float, resets: int) -> Message:
-    """VISION_POSITION_ESTIMATE of a pose measured at `time` (seconds on any clock that runs on: the autopilot takes out
-    the difference)."""
+    """Return VISION_POSITION_ESTIMATE for a pose that was measured at `time`.
+
+    `time` is in seconds on any monotonic clock, since the autopilot compensates the offset to its own clock. `resets`
+    counts the jumps of the pose that the EKF must follow."""
     covariance = _covariance(HORIZONTAL, VERTICAL, ANGLE)
     return mavlink.MAVLink_vision_position_estimate_message(
         round(time * 1e6), *ned.position(pose.position), 0.0, 0.0, ned.yaw(pose), covariance, resets % 256
@@ -73,8 +84,11 @@ def vision(ned: Ned, pose: Pose, time: float, resets: int) -> Message:
 
 
 def odometry(ned: Ned, pose: Pose, velocity: Point, time: float, resets: int, autopilot: int) -> Message:
-    """ODOMETRY likewise, with the velocity (m/s, ENU) in the vehicle's own axes (forward, right, down). ArduPilot
-    takes no other frames than these and means NED by LOCAL_FRD; PX4 means by that a frame of unknown heading."""
+    """Return ODOMETRY for a pose and a velocity (m/s, ENU) that were measured at `time`, as in `vision`.
+
+    The message carries the velocity in the vehicle's own axes: forward, right, down. ArduPilot accepts the pose in
+    MAV_FRAME_LOCAL_FRD only, and takes that for NED. For PX4, LOCAL_FRD is a frame of unknown heading, so PX4 is sent
+    MAV_FRAME_LOCAL_NED."""
     local = autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     yaw = ned.yaw(pose)
     vn, ve, vd = ned.direction(velocity, pose.position)

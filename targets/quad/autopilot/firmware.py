@@ -1,4 +1,4 @@
-"""What one autopilot's firmware does otherwise than another's: facts, no behaviour. One instance for each kind."""
+"""Firmware facts in which ArduPilot and PX4 differ: data without behaviour, one instance per firmware."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from targets.mavlink.parameters import Wanted
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Modes are numbers as HEARTBEAT.custom_mode has them. All of them take SET_POSITION_TARGET_GLOBAL_INT in frame 5
-    (heights AMSL), so a setpoint is the same message for each."""
+    """Facts of one firmware. Flight modes are numbers as in HEARTBEAT.custom_mode.
+
+    Each firmware accepts SET_POSITION_TARGET_GLOBAL_INT in frame 5 (MAV_FRAME_GLOBAL_INT, altitudes AMSL), so all of
+    them are sent the same setpoints."""
 
     name: str
-    modes: Mapping[int, str]
-    follows: int  # the mode in which it follows setpoints
-    lands: int
-    returns: tuple[int, ...]  # modes that like `lands` end on the ground by themselves
-    ask_mode: Callable[[int], tuple[float, ...]]  # the parameters of DO_SET_MODE
-    rises: bool  # takes off by setpoints that rise, which flow before it follows and from then on; else by NAV_TAKEOFF
-    rates: Mapping[int, float]  # message -> how often it is wanted, Hz
-    occasional: tuple[int, ...]  # of these, those whose absence proves nothing
-    parameters: tuple[Wanted, ...]
-    positioning: Mapping[str, tuple[Wanted, ...]]  # what it takes in place of a GPS of its own, and parameters for that
-    bytewise: bool  # how it sends integer parameters, where it does not say
+    modes: Mapping[int, str]  # names of the flight modes
+    follows: int  # the mode in which the vehicle follows setpoints
+    lands: int  # the mode in which it lands where it is
+    returns: tuple[int, ...]  # other modes that end on the ground without further commands
+    ask_mode: Callable[[int], tuple[float, ...]]  # the parameters of the command DO_SET_MODE for a mode
+    rises: bool  # True: takes off by rising setpoints, sent from before the mode switch on. False: by NAV_TAKEOFF
+    rates: Mapping[int, float]  # MAVLink message id -> requested rate, Hz
+    occasional: tuple[int, ...]  # ids in `rates` of messages whose absence is no fault
+    parameters: tuple[Wanted, ...]  # parameters that each flight depends on
+    positioning: Mapping[str, tuple[Wanted, ...]]  # supported modes of external positioning, and their parameters
+    bytewise: bool  # encoding of integer parameters as raw bytes, if the autopilot does not report its encoding
 
     def mode(self, number: int | None) -> str:
         """Return the mode's name."""

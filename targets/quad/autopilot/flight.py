@@ -1,7 +1,7 @@
-"""The life of a flight, from the first heartbeat to the motors' stop: a polled state machine over one link.
+"""Flight state machine, from the first heartbeat to the disarmed vehicle, polled over one MAVLink link.
 
-Each step is believed only when telemetry shows it, and asked for again until then. Once it is armed, a mode that is
-not ours means that a pilot or a failsafe took the vehicle: it is never taken back.
+Each command is repeated until telemetry shows its effect. Once the vehicle is armed, a flight mode that the agent did
+not request means that a pilot or a failsafe took over. The agent then never takes the vehicle back.
 """
 
 from __future__ import annotations
@@ -24,17 +24,20 @@ from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.telemetry import Streams, Telemetry
 from targets.quad.autopilot.vehicles import identified
 
-SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
-AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
-BY_HAND = 5.0  # seconds after arming; ArduPilot itself disarms for want of a take-off after 10 (DISARM_DELAY)
-BLIND = 3.0  # seconds without a position after which a climb is given up
-STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
-QUIET = 0.4  # seconds without any message, in flight, after which the link is said to be silent
-CALLING = 1.0  # seconds for which setpoints flow before a mode is asked for that lasts as long as they do
-CLIMB, RISING = 0.5, 0.8  # m/s, and part of the climb's limit: setpoints rise no faster
+SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as lost for good
+AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as complete
+# Seconds from arming within which a disarming before the take-off is attributed to a person or a failsafe. ArduPilot
+# itself disarms a vehicle that does not take off, but only after 10 s (DISARM_DELAY).
+BY_HAND = 5.0
+BLIND = 3.0  # seconds without a position estimate after which a climb is aborted
+STILL = 0.1  # m/s; a slower vehicle in LAND mode counts as touched down
+QUIET = 0.4  # seconds without any message, in flight, after which `progress` reports that the link is silent
+# Seconds for which setpoints are sent before the mode that follows them is requested: PX4 leaves OFFBOARD without them.
+CALLING = 1.0
+CLIMB, RISING = 0.5, 0.8  # m/s, and share of the climb limit: take-off setpoints rise at the smaller of both rates
 CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED of DO_CHANGE_SPEED
-ASKED = 4  # times that a limit of the climb is asked for; then the vehicle takes off without
-PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
+ASKED = 4  # requests for a climb limit; if all are refused or unanswered, the vehicle takes off without the limit
+PATIENCE = 5.0  # seconds on the ground after which the agent disarms, if the autopilot's LAND mode does not
 COMMANDS = (
     mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_CHANGE_SPEED,
     mavlink.MAV_CMD_NAV_TAKEOFF,
@@ -43,7 +46,7 @@ _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
 class Phase(enum.Enum):
-    """Where in its life the flight is; they follow in this order."""
+    """Phase of a flight. The phases follow each other in this order."""
 
     CONNECTING = enum.auto()
     ESTIMATING = enum.auto()
@@ -56,8 +59,13 @@ class Phase(enum.Enum):
 
 
 class Flight:
-    """Brings the vehicle to `height` (m, fleet's ENU), at `climb` (m/s) or less, and back to the ground. `go_to` sends
-    a position setpoint; `wanted` are the parameters that matter on a firmware."""
+    """Take-off and landing of one vehicle, and supervision of its flight.
+
+    `height`: flight height to climb to, m in the fleet's ENU frame.
+    `climb`: limit of the climb rate, m/s.
+    `go_to`: sends a position setpoint.
+    `wanted`: returns the parameters that a flight with a firmware depends on.
+    """
 
     def __init__(
         self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, climb: float,
@@ -68,27 +76,27 @@ class Flight:
         self._go_to, self._wanted = go_to, wanted
         self._firmware = telemetry.firmware
         self._review = Review((), bytewise=False)
-        self._rivalled = False  # it was told that another ground station speaks under our system id
-        self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
-        self.grounded = False  # not to take off, as long as this is set
-        self.withheld = ""  # what speaks against a take-off beside what is known here, in words
-        self.heard: list[Message] = []  # the vehicle's messages that the last poll took
+        self._rivalled = False  # whether the warning on another ground station with the agent's system id was shown
+        self._setpoint: Point | None = None  # last take-off setpoint, for a firmware that takes off by rising setpoints
+        self.grounded = False  # the vehicle must not take off while this is set
+        self.withheld = ""  # reason of the positioning, in words, why the vehicle must not take off; "" if it may
+        self.heard: list[Message] = []  # messages of the vehicle that the last poll received
         self._streams = Streams()
         self._since = now  # when the present phase began
         self._begun = self._now = self._polled = now
         self._restarts = 0
-        self._climb_from = 0.0
-        self._unlimited = ""  # that the autopilot did not accept the limit of its climb, in words
-        self._airborne = False  # it has left the ground: what goes wrong now is not simply begun again
-        self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
-        self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
-        self._taken = False  # by a pilot or a failsafe
+        self._climb_from = 0.0  # m, height at which the climb began
+        self._unlimited = ""  # warning that the autopilot did not accept the climb limit
+        self._airborne = False  # the vehicle has left the ground, so an error no longer restarts the take-off
+        self._landing_seen = False  # a heartbeat showed a mode that lands, after the agent began to land
+        self._grounded: float | None = None  # since when the landing vehicle seems to be on the ground
+        self._taken = False  # a pilot or a failsafe has taken over the vehicle
         self.phase = Phase.CONNECTING
         self._doing = f"waiting for a heartbeat on {url}"
 
     @property
     def progress(self) -> str:
-        """What the flight is at, in the autopilot's own words where it refuses something."""
+        """The present activity for the log; if the autopilot refuses a command, with the autopilot's own reason."""
         if self.phase is Phase.RESTED or self._link.heard is None:
             return self._doing
         if not self._link.alive(self._now):
@@ -97,7 +105,7 @@ class Flight:
         return f"nothing comes on {self._url}; was {self._doing}" if silent else self._doing
 
     def poll(self, now: float) -> None:
-        """Take what has arrived, look, and ask for what comes next. Raises Unready."""
+        """Process the messages received, supervise the vehicle, and send the next command. Raises Unready."""
         self._polled, self._now = self._now, now
         self.heard = self._link.receive(now)
         for message in self.heard:
@@ -133,7 +141,7 @@ class Flight:
             self._link.forget(command)
 
     def _watch(self, now: float) -> None:
-        """Silence and restarts, in any phase."""
+        """React to a silent link and to a restart of the autopilot, in any phase. Raises Unready."""
         silent = now - (self._begun if self._link.heard is None else self._link.heard)
         if silent > SILENCE:
             raise unheard(self._url, self._link, silent)
@@ -164,7 +172,7 @@ class Flight:
         self._review.poll(self._link, now)
         told = None not in (state.yaw, state.landed, state.mode)
         if state.position is None or not state.fresh(now) or not told:
-            if differing := self._review.news():  # it may be why there is no estimate
+            if differing := self._review.news():  # a wrong parameter may be why there is no estimate
                 self._doing = f"waiting for its position estimate; {differing}"
             return
         if self._link.crowded(now):
@@ -190,7 +198,9 @@ class Flight:
             self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
 
     def _take_over(self, now: float) -> None:
-        """It flies already: an agent before us died, perhaps."""
+        """Take over a vehicle that flies already, perhaps since an earlier agent process that died.
+
+        It is taken over if it follows setpoints, and awaited on the ground if it lands. Otherwise raises Unready."""
         state = self._telemetry
         if state.mode == self._firmware.follows:
             self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
@@ -216,14 +226,15 @@ class Flight:
                 self._doing = self._explained(doing, mavlink.MAV_CMD_DO_SET_MODE, now)
 
     def _call(self) -> None:
-        """On the ground, where the firmware takes off by setpoints: they flow already, to a place below, so that no
-        error of the estimate looks like a wish to take off."""
+        """On the ground, send setpoints already if the firmware takes off by rising setpoints (PX4).
+
+        The setpoint is 0.2 m below the vehicle, so that an error of the estimate cannot command a take-off."""
         if self._firmware.rises and self._telemetry.position is not None:
             self._setpoint = self._telemetry.position + Point(0.0, 0.0, -0.2)
             self._go_to(self._setpoint)
 
     def _lift(self, seconds: float) -> None:
-        """... and rise, as far as the position is known."""
+        """Raise the take-off setpoint by the climb of `seconds`, if the position estimate is fresh."""
         if self._setpoint is not None and self._telemetry.fresh(self._now):
             p, rate = self._setpoint, min(CLIMB, RISING * self._climbing)
             self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + rate * seconds, self._height)))
@@ -253,7 +264,7 @@ class Flight:
         elif state.mode != self._firmware.follows:
             self._leave_to_them()
         elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
-            pass  # home, which the take-off's height counts from, has just been set anew
+            pass  # arming has just moved home, from which the take-off height counts: wait for a newer position
         elif state.flying:
             self._airborne = True
         elif self._firmware.rises:
@@ -261,14 +272,17 @@ class Flight:
             self._doing = "taking off"
         elif self._climb_limited(now):
             self._climb_from = state.position.z
-            # Height above home: home's own is what the two heights of one message differ by.
+            # NAV_TAKEOFF takes a height above home. Home's own height is the difference of the two heights (AMSL and
+            # relative to home) in one GLOBAL_POSITION_INT.
             above_home = self._height - state.position.z + state.relative
             self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
             self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
 
     def _climb_limited(self, now: float) -> bool:
-        """Ask an ArduPilot to climb within the limit; by itself it takes WP_SPD_UP (2.5 m/s) and as much as the height
-        allows. Return whether it does, or was asked for often enough. The limit holds for this take-off only."""
+        """Request the climb limit from an ArduPilot. Return True if it accepted, or was asked ASKED times.
+
+        The limit holds for this take-off only. Without it, ArduPilot climbs at up to WP_SPD_UP (2.5 m/s by default), as
+        far as the height to climb allows."""
         asked = self._link.ask(now, mavlink.MAV_CMD_DO_CHANGE_SPEED, CLIMB_SPEED, self._climbing, -1.0, every=0.5)
         if asked.result == mavlink.MAV_RESULT_ACCEPTED:
             self._unlimited = ""
@@ -296,7 +310,7 @@ class Flight:
         self._doing = "flying"
 
     def _keep(self, now: float) -> None:
-        """In the air: the vehicle must be armed, and ours."""
+        """Raise Unready if the vehicle in the air is disarmed, or is in a mode that the agent did not request."""
         if not self._telemetry.armed:
             said = self._link.reasons(now - 10.0)
             raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
@@ -311,8 +325,10 @@ class Flight:
         )
 
     def rest(self, now: float) -> None:
-        """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
-        left as it is; unless it flies for an agent before us that is no more."""
+        """Begin to land. Idempotent.
+
+        A vehicle that was never commanded is left as it is: it may be no copter, or flown by a pilot. Exception: a
+        vehicle that still follows setpoints, those of an agent process that died, is landed."""
         state = self._telemetry
         orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
         if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
@@ -322,7 +338,8 @@ class Flight:
 
     def _land(self, now: float) -> None:
         state = self._telemetry
-        # An arming that is still on its way must not catch us asleep: only a later heartbeat says that all is quiet.
+        # An arming command may still be in transit. So only a heartbeat that arrives 1 s or more after the beginning of
+        # the landing proves that the vehicle is disarmed.
         if not state.armed and state.mode_time > self._since + 1.0:
             self._enter(Phase.RESTED, now, "at rest, disarmed")
             return
@@ -342,8 +359,10 @@ class Flight:
         self._touch_down(now)
 
     def _touch_down(self, now: float) -> None:
-        """Disarm, without force, a vehicle that is on the ground but does not do so by itself: without a remote
-        control ArduPilot's LAND may wait for ever (LAND_REPOSITION). In flight it refuses to."""
+        """Disarm a vehicle that has been on the ground for PATIENCE seconds and is still armed.
+
+        Without a remote control, ArduPilot's LAND may wait forever before it disarms (LAND_REPOSITION). The command
+        does not force: the autopilot refuses it in flight."""
         state = self._telemetry
         down = state.landed == _ON_GROUND
         if state.mode == self._firmware.lands and state.fresh(now):
@@ -363,7 +382,7 @@ class Flight:
         return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.ask_mode(mode)).times
 
     def _explained(self, doing: str, command: int, now: float) -> str:
-        """Return what is being done, the answer to it, and the autopilot's own words."""
+        """Return the text for `progress`: the activity, and the autopilot's refusal of `command` with its reasons."""
         asked = self._link.asked(command)
         if asked is None or (asked.result is None and asked.times < 3):
             return doing

@@ -1,11 +1,12 @@
-"""The EKF's origin of an autopilot that flies by external positions: set once, or taken as it is.
+"""EKF origin of an autopilot with external positioning: set once, or adopted if the autopilot has one already.
 
-An EKF that was told positions without a place on earth needs one. It takes the first SET_GPS_GLOBAL_ORIGIN after it is
-initialised; what is sent earlier is lost, and later ones change nothing. So it is sent until positions are told on the
-globe, and what the autopilot says of its origin is what poses are sent about.
+An EKF that receives local positions needs an origin on earth. The EKF accepts the first SET_GPS_GLOBAL_ORIGIN after its
+initialisation; it loses earlier ones and ignores later ones. So the message is repeated until the autopilot reports
+global positions. Poses are then sent relative to the origin that the autopilot reports.
 
-The origin is the fleet's latitude and longitude at the robot's own altitude. ArduPilot resets its height datum after
-the first origin, and from then on counts the robot's height above the origin twice: it must be zero.
+The requested origin has the fleet's latitude and longitude, and the robot's own altitude. The reason for the altitude:
+ArduPilot resets its height datum after the first origin, and from then on counts the robot's height above the origin
+twice. So that height must be zero.
 """
 
 from __future__ import annotations
@@ -20,28 +21,28 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.quad.autopilot.external import Ned
 
-EVERY = 1.0  # seconds between two askings
-LIFTED = 0.02  # m by which the robot's height must change for the origin that is asked for to change
+EVERY = 1.0  # seconds between two requests
+LIFTED = 0.02  # m by which the robot's height must change before the requested origin changes
 
 
 class Origin:
-    """`ned` is what poses are to be sent about; `resets` counts how often it changed."""
+    """EKF origin of one autopilot. `ned` converts poses to its frame; `resets` counts how often that frame changed."""
 
     def __init__(self, frame: LocalFrame, origin: tuple[float, float, float]) -> None:
         self._frame, self._fleet = frame, origin
-        self._height = 0.0  # m above the fleet's origin, of the origin that is asked for
-        self._boot = 0  # ms, in the last position told
-        self._told: tuple[int, int, int] | None = None
-        self._next = -math.inf
-        self._initialised = False
-        self._placed = False  # positions are told on the globe
+        self._height = 0.0  # m, height of the requested origin above the fleet's origin
+        self._boot = 0  # ms since the autopilot's boot, in its last GLOBAL_POSITION_INT
+        self._told: tuple[int, int, int] | None = None  # the origin that the autopilot reported, in units of `_wanted`
+        self._next = -math.inf  # earliest time of the next request
+        self._initialised = False  # whether the EKF is initialised
+        self._placed = False  # whether the autopilot reports global positions
         self._asked = 0  # how often the autopilot was asked for its origin since it booted
         self.ned = self._about(self._wanted)
         self.resets = 0
 
     @property
     def _wanted(self) -> tuple[int, int, int]:
-        """Degrees * 1e7, degrees * 1e7, millimetres AMSL."""
+        """The requested origin: latitude and longitude in 1e-7 degrees, altitude in millimetres AMSL."""
         latitude, longitude, altitude = self._fleet
         return round(latitude * 1e7), round(longitude * 1e7), round((altitude + self._height) * 1e3)
 
@@ -50,7 +51,7 @@ class Origin:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self._initialised |= "EKF3 IMU" in str(message.text) and "initialised" in str(message.text)
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:  # an agent that comes later has missed those words
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:  # an agent that started later missed the STATUSTEXT
                 self._initialised |= bool(message.flags & mavlink.EKF_ATTITUDE)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                 if message.time_boot_ms + 1000 < self._boot:  # the autopilot restarted
@@ -76,12 +77,15 @@ class Origin:
 
     @property
     def known(self) -> bool:
-        """Return whether `ned` is right: the autopilot has reported its origin, or it has none that it could report."""
+        """Return whether `ned` is right.
+
+        It is right once the autopilot has reported its origin, or has left the request unanswered without an origin."""
         return self._told is not None or (self._asked > 1 and not self._placed)
 
     def poll(self, link: Link, pose: Pose | None, now: float) -> None:
-        """Ask for the origin that is not known yet, and set it as long as there seems to be none and the robot's pose
-        (ENU about the fleet's origin) is known."""
+        """Request the autopilot's origin until it is known, and set an origin as long as the autopilot has none.
+
+        It is set only if the robot's `pose` (ENU about the fleet's origin) is known, since its altitude is needed."""
         if link.vehicle is None or now < self._next or (self._told is not None and self._placed):
             return
         self._next = now + EVERY

@@ -1,8 +1,11 @@
-"""Where a vehicle gets its position from, if not by itself: sealed poses of a base station, passed on to its autopilot.
+"""External positioning: authenticated poses from a base station, forwarded to the vehicle's autopilot.
 
-`gps_input` sends fixes as a GPS does, 8 a second; `vision` and `odometry` send poses, 20 a second. Autopilots notice
-only after 7 to 8 seconds that such a source is gone, so it is watched here: whether it is fresh, whether it jumps, and
-whether the autopilot's estimate follows it. What is in doubt holds the vehicle at once, and soon lands it.
+Mode `gps_input` sends fixes as a GPS receiver does, 8 per second. Modes `vision` and `odometry` send poses, 20 per
+second.
+
+Autopilots notice only after 7 to 8 seconds that such a source has failed. So this module supervises the source: its
+samples must be fresh and must not jump, and the autopilot's estimate must follow them. If one of these fails, the
+vehicle holds at once; if the failure lasts, the vehicle lands.
 """
 
 from __future__ import annotations
@@ -27,27 +30,33 @@ from targets.quad.autopilot.origin import Origin
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.autopilot.track import Track
 
-PERIODS = {"gps_input": 0.125, "vision": 0.05, "odometry": 0.05}  # seconds between two messages
-STALE = 0.3  # seconds; an older sample is not passed on, and the vehicle holds
-CLIMBING = 0.5  # seconds of doubt that end a climb
-JUMPED = 1.0  # seconds of nothing but jumps after which the source is no longer waited for
-APART, LAG = 0.5, 0.2  # metres and seconds: the estimate may be off by APART and by what is flown in LAG
+PERIODS = {"gps_input": 0.125, "vision": 0.05, "odometry": 0.05}  # seconds between two messages to the autopilot
+STALE = 0.3  # seconds; an older sample is not forwarded, and the vehicle holds
+CLIMBING = 0.5  # seconds without a trustworthy position after which a climb is aborted
+JUMPED = 1.0  # seconds in which all samples jumped, after which the source counts as failed
+APART, LAG = 0.5, 0.2  # metres, seconds: estimate and source may differ by APART plus the distance flown in LAG
 HEIGHT = 0.1  # metres by which the heights of estimate and source may differ before a take-off
-PATIENCE = 60.0  # seconds for the first sample: a base station may be started after the robots
-_JITTER = 0.005  # seconds by which a poll may come early
-LEAST_RATE = 15.0  # Hz
+PATIENCE = 60.0  # seconds to wait for the first sample: a base station may be started after the robots
+_JITTER = 0.005  # seconds by which a poll may come before its time
+LEAST_RATE = 15.0  # Hz; a source with a lower rate gets a warning in the pre-flight check
 _IN_FLIGHT = (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING, Phase.FLYING)
 
 
 class Positioning:
-    """Polled after the flight. `vouched` is the latest time (the agent's clock) of which it is known that source and
-    estimate were right; `doubt` says in words why they may not be now, "" when nothing speaks against them."""
+    """External position source of one vehicle, and its supervision. Polled after the `Flight`.
+
+    `vouched`: latest time (s on the agent's clock) at which source and estimate agreed, or None.
+    `doubt`: reason in words why the position may be wrong now; "" if there is none.
+    `held`: whether the vehicle must not move, because its position may be wrong.
+    """
 
     def __init__(
         self, mode: str, setting: str, settings: Settings, key: bytes | None, frame: LocalFrame, max_speed: float,
         bind: Callable[[str], DatagramLink], wall: Callable[[], float],
     ) -> None:  # fmt: skip
-        """`bind` opens the port that `setting` names; `wall` is the time of day, seconds since 1970."""
+        """Prepare the source without opening it.
+
+        `bind` opens the port that `setting` names. `wall` returns the time of day, seconds since 1970."""
         self._mode, self._setting, self._frame, self._bind, self._wall = mode, setting, frame, bind, wall
         self._lost = settings.safety.position_lost
         self._feed = Feed(settings.robot, key, settings.application_id)
@@ -56,16 +65,16 @@ class Positioning:
         self._origin = Origin(frame, (o.latitude, o.longitude, o.altitude))
         self._datagrams: DatagramLink | None = None
         self._began = 0.0
-        self._unix = 0.0  # time of day minus the agent's clock: read once, so that fixes follow one another evenly
-        self._next = self._sent = -math.inf
-        self._taken = 0  # samples since it was opened
-        self._carried = 0  # how often the vehicle was carried elsewhere, on the ground
+        self._unix = 0.0  # s, time of day minus the agent's clock; read once, so that fixes keep their spacing in time
+        self._next = self._sent = -math.inf  # time of the next message; time of the sample that was sent last
+        self._taken = 0  # samples received since the port was opened
+        self._carried = 0  # how often the vehicle was carried to another place on the ground
         self.vouched: float | None = None
         self.doubt = self._waiting()
-        self.held = True  # whether the vehicle must not move by its estimate now
+        self.held = True
 
     def open(self, now: float) -> None:
-        """Bind the feed's port, if it is not bound. Raises Unready."""
+        """Bind the port of the position feed, if it is not bound yet, and restart the counts. Raises Unready."""
         if self._datagrams is None:
             self._datagrams = self._bind(self._setting)
             self._feed.hear(self._datagrams)
@@ -76,20 +85,22 @@ class Positioning:
         return self._feed.news()
 
     def close(self) -> None:
-        """Give the port back. Idempotent."""
+        """Close the port of the position feed. Idempotent."""
         if self._datagrams is not None:
             self._datagrams.close()
             self._datagrams = None
 
     def wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
-        """The parameters that matter for this way of positioning. Raises Unready when the firmware has not got it."""
+        """Return the parameters that this positioning mode depends on.
+
+        Raises Unready if the firmware does not support the mode."""
         if self._mode not in firmware.positioning:
             there_are = ", ".join(firmware.positioning)
             raise Unready(f"{firmware.name} takes no positioning {self._mode!r}", f"it takes: own, {there_are}")
         return firmware.positioning[self._mode]
 
     def tried(self, now: float) -> list[Finding]:
-        """`open` for a platform's `diagnose`: nothing, or why it could not be."""
+        """Open the port for a platform's `diagnose`. Return the failed check, or an empty list."""
         try:
             self.open(now)
         except Unready as error:
@@ -97,13 +108,13 @@ class Positioning:
         return []
 
     def attend(self, link: Link, messages: Iterable[Message], now: float) -> None:
-        """Take the vehicle's messages, and pass the source on."""
+        """Process messages of the vehicle, and forward the source's samples to the autopilot."""
         for message in messages:
             self._origin.take(message)
         self._pass_on(link, now)
 
     def _pass_on(self, link: Link, now: float) -> None:
-        """Take the samples that have arrived, and send the newest to the autopilot when that is due."""
+        """Receive the samples that have arrived, and send the newest one to the autopilot if a message is due."""
         for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._taken += 1
@@ -132,7 +143,7 @@ class Positioning:
                 return odometry(ned, pose, track.velocity, track.time, resets, link.vehicle.autopilot)
 
     def poll(self, link: Link, flight: Flight, state: Telemetry, now: float) -> None:
-        """Pass the source on, and watch it. Raises Unready when it cannot be flown by any more."""
+        """Forward the source's samples, and supervise it. Raises Unready if the vehicle must not fly by it any more."""
         self.attend(link, flight.heard, now)
         grounded = flight.phase in (Phase.CONNECTING, Phase.ESTIMATING)
         if grounded and self._track.refused(now) > JUMPED:
@@ -163,12 +174,12 @@ class Positioning:
         self.held = self.vouched is None or now - self.vouched > STALE
 
     def _apart(self, state: Telemetry) -> float | None:
-        """Metres from the estimate to where the source was then; None when that is not known."""
+        """Return the distance (m) between the estimate and the source's position at the same time; None if unknown."""
         there = self._track.at(state.time) if state.time is not None else None
         return distance(state.position, there) if state.position is not None and there is not None else None
 
     def _heights(self, state: Telemetry) -> str:
-        """The difference of the heights of estimate and source, in words, when it is too large for a take-off."""
+        """Return the reason against a take-off if the heights of estimate and source differ too much, else ""."""
         there = self._track.at(state.time) if state.time is not None else None
         if state.position is None or there is None or abs(up := state.position.z - there.z) <= HEIGHT:
             return ""
@@ -194,8 +205,9 @@ class Positioning:
         return f"waiting for the position feed on {self._setting}{self._feed.dropped}"
 
     def findings(self, state: Telemetry, now: float) -> list[Finding]:
-        """For a platform's `diagnose`, after samples were passed on since `open`: whether they come as they should, and
-        whether the autopilot's estimate is where they are."""
+        """Return the pre-flight checks of the source, after samples were forwarded for some seconds since `open`.
+
+        They check the rate, age and jumps of the samples, and whether the autopilot's estimate follows them."""
         feed, seconds = self._feed, max(now - self._began, 0.1)
         if feed.pose is None:
             return [Finding.of("feed", Unready(*feed.silent(self._setting, seconds)))]
@@ -216,7 +228,7 @@ class Positioning:
         return [came, *self._followed(state)]
 
     def _followed(self, state: Telemetry) -> list[Finding]:
-        """Return the distance of the estimate from the source; nothing without a source."""
+        """Check the distance of the estimate from the source; no check if one of them is unknown."""
         if (off := self._apart(state)) is None:
             return []
         told = f"{off:.2f} m from the position source"

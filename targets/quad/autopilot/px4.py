@@ -1,6 +1,7 @@
-"""PX4's multicopter, from version 1.14 on. OFFBOARD lasts as long as setpoints come faster than 2 Hz.
+"""Firmware facts of PX4 for multicopters, version 1.14 and later.
 
-Its POSITION_TARGET_GLOBAL_INT shows the target of a mission, not of OFFBOARD; that is in POSITION_TARGET_LOCAL_NED.
+PX4 stays in OFFBOARD mode only while setpoints arrive at 2 Hz or more. PX4's POSITION_TARGET_GLOBAL_INT shows the
+target of a mission; the target of OFFBOARD mode is in POSITION_TARGET_LOCAL_NED.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from targets.quad.autopilot.firmware import Firmware
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
-    """PX4's modes as HEARTBEAT.custom_mode packs them (px4_custom_mode.h)."""
+    """Return a PX4 flight mode as packed in HEARTBEAT.custom_mode (px4_custom_mode.h)."""
     return main << 16 | sub << 24
 
 
@@ -23,18 +24,18 @@ MODES = {
     custom_mode(4, 4): "MISSION", custom_mode(4, 5): "RETURN", LAND: "LAND", custom_mode(4, 9): "PRECISION LAND",
 }  # fmt: skip
 PARAMETERS = (
-    Wanted("COM_OBL_RC_ACT", (), (4,), "else it does not land when the agent dies", vital=True),
+    Wanted("COM_OBL_RC_ACT", (), (4,), "else the vehicle does not land when the agent dies", vital=True),
     Wanted("COM_OF_LOSS_T", (), (1, 0.5), "seconds from the agent's last setpoint to the landing"),
-    Wanted("COM_RCL_EXCEPT", (), (4, 5, 6, 7), "else it does not fly OFFBOARD without a remote control"),
+    Wanted("COM_RCL_EXCEPT", (), (4, 5, 6, 7), "else the vehicle does not fly OFFBOARD without a remote control"),
 )
 _NO_OWN = (
-    Wanted("EKF2_HGT_REF", (), (3,), "else its height is not the feed's"),
-    Wanted("EKF2_GPS_CTRL", (), (0,), "else it believes a GPS as well"),
-    Wanted("EKF2_MAG_TYPE", (), (5,), "else the compass is believed, which iron indoors misleads"),
+    Wanted("EKF2_HGT_REF", (), (3,), "else the EKF's height is not the feed's"),
+    Wanted("EKF2_GPS_CTRL", (), (0,), "else the EKF uses a GPS as well"),
+    Wanted("EKF2_MAG_TYPE", (), (5,), "else the EKF uses the compass, which iron indoors disturbs"),
 )
 POSITIONING = {
-    "vision": (Wanted("EKF2_EV_CTRL", (), (11,), "else position and heading are not the feed's"), *_NO_OWN),
-    "odometry": (Wanted("EKF2_EV_CTRL", (), (15, 11), "else position and heading are not the feed's"), *_NO_OWN),
+    "vision": (Wanted("EKF2_EV_CTRL", (), (11,), "else the EKF's position and heading are not the feed's"), *_NO_OWN),
+    "odometry": (Wanted("EKF2_EV_CTRL", (), (15, 11), "else the EKF's position and yaw are not the feed's"), *_NO_OWN),
 }
 PX4 = Firmware(
     name="PX4",

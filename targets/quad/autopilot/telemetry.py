@@ -1,8 +1,10 @@
-"""What the autopilot says of itself: mode, arming, position, what it follows; and asking for it to be said.
+"""Telemetry of the autopilot: flight mode, arming, position and present setpoint; and the requests for its streams.
 
-Positions: local ENU about the FLEET's origin, from GLOBAL_POSITION_INT. LOCAL_POSITION_NED would be about the vehicle's
-own EKF origin, which no other robot shares. Heights are AMSL throughout (GLOBAL_POSITION_INT.alt, frame 5 in
-setpoints), not relative to home: home is where the vehicle was armed, each vehicle's own, and moves when it arms.
+Positions are in local ENU about the fleet's origin, computed from GLOBAL_POSITION_INT. LOCAL_POSITION_NED would be
+relative to the vehicle's own EKF origin, which no other robot shares.
+
+Heights are AMSL throughout (GLOBAL_POSITION_INT.alt; frame 5, MAV_FRAME_GLOBAL_INT, in setpoints). They are not
+relative to home, because each vehicle has its own home, which moves to the vehicle whenever it arms.
 """
 
 from __future__ import annotations
@@ -18,25 +20,26 @@ from targets.mavlink.link import Link
 from targets.quad.autopilot.ardupilot import ARDUPILOT
 from targets.quad.autopilot.firmware import Firmware
 
-VOUCHED = 2.0  # seconds for which a report of the estimate's state holds
-_NO_POSITION = 0x007  # bits of a type mask
-LONG_AGO = 2000  # ms, more than a message may be late
+VOUCHED = 2.0  # seconds for which an EKF status report counts as current
+_NO_POSITION = 0x007  # bits of a POSITION_TARGET's type_mask: x, y and z are to be ignored
+LONG_AGO = 2000  # ms; a message's boot time that lies further back means that the autopilot restarted, not a delay
 
 
 class Streams:
-    """Asks for each stream by SET_MESSAGE_INTERVAL, and again when it is not there: nothing streams until asked, and
-    an autopilot that restarted has forgotten."""
+    """Requests for the autopilot's message streams by SET_MESSAGE_INTERVAL, repeated for each stream that is missing.
+
+    An autopilot sends these streams only on request, and forgets the requests when it restarts."""
 
     def __init__(self) -> None:
-        self._came: dict[int, float] = {}
-        self._asked: dict[int, float] = {}
+        self._came: dict[int, float] = {}  # message id -> time of the last message
+        self._asked: dict[int, float] = {}  # message id -> time of the last request
 
     def note(self, message: int, now: float) -> None:
-        """A message of this id has come."""
+        """Record that a message with this id was received."""
         self._came[message] = now
 
     def poll(self, link: Link, firmware: Firmware, now: float) -> None:
-        """Ask for what is missing; of what comes only now and then, every two seconds."""
+        """Request each missing stream once a second, and each stream of occasional messages every two seconds."""
         for message, rate in firmware.rates.items():
             occasional = message in firmware.occasional
             silent = now - self._came.get(message, -math.inf) > 1.0
@@ -45,36 +48,36 @@ class Streams:
                 link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
 
     def restart(self) -> None:
-        """The autopilot has restarted: ask for everything at once."""
+        """Forget all requests, because the autopilot has restarted: the next poll requests all streams again."""
         self._came.clear()
         self._asked.clear()
 
 
 class Telemetry:
-    """The vehicle's last known state. None stands for what has not been heard yet."""
+    """Last known state of the vehicle. None: not received yet."""
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
         self._local: tuple[Point, Point] | None = None  # position about the EKF's origin, and `position` at that time
-        self.firmware = ARDUPILOT  # until it is known
-        self._boot: int | None = None  # ms, the vehicle's clock in the newest message
-        self._earlier: int | None = None  # ... in a last one that was older than that
-        self._ekf: int | None = None
-        self._ekf_time = -math.inf
-        self.restarts = 0
-        self.mode: int | None = None
-        self.mode_time = -math.inf
+        self.firmware = ARDUPILOT  # assumed until the firmware is known
+        self._boot: int | None = None  # ms since the autopilot's boot, in its newest position message
+        self._earlier: int | None = None  # the same of the last message if that was older than the newest, else None
+        self._ekf: int | None = None  # flags of the last EKF status report
+        self._ekf_time = -math.inf  # arrival of that report
+        self.restarts = 0  # number of restarts of the autopilot that were detected
+        self.mode: int | None = None  # flight mode: HEARTBEAT.custom_mode
+        self.mode_time = -math.inf  # arrival of the last heartbeat
         self.armed = False
         self.landed: int | None = None  # MAV_LANDED_STATE
         self.position: Point | None = None
         self.velocity = Point()  # m/s, ENU
         self.yaw: float | None = None  # rad from east; None where the autopilot does not know it
-        self.time: float | None = None  # when `position` came
-        self.amsl = 0.0  # m
-        self.relative = 0.0  # m above home
+        self.time: float | None = None  # arrival of `position`
+        self.amsl = 0.0  # m, altitude AMSL
+        self.relative = 0.0  # m, height above home
         self.battery: float | None = None  # charge, 0 to 1
-        self.followed: Point | None = None  # the position target that the autopilot says it has
-        self.followed_time = -math.inf
+        self.followed: Point | None = None  # the position setpoint that the autopilot reports
+        self.followed_time = -math.inf  # arrival of that report
 
     def take(self, message: Message, now: float) -> None:
         """Take one of the vehicle's messages."""
@@ -93,7 +96,7 @@ class Telemetry:
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # same flags
                 self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
-                if math.isfinite(message.alt):  # always AMSL here, whatever frame was asked for
+                if math.isfinite(message.alt):  # always AMSL, in whatever frame the setpoint was sent
                     place = self._frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt)
                     self.followed, self.followed_time = Point(*place), now
             case mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
@@ -103,7 +106,9 @@ class Telemetry:
                 self._take_local_target(message, now)
 
     def _take_local_target(self, message: Message, now: float) -> None:
-        """Its origin is the EKF's own, which needs not be known: how far the target is from the vehicle suffices."""
+        """Convert a setpoint reported relative to the EKF's own origin to the fleet's frame.
+
+        The EKF's origin need not be known: the offset of the setpoint from the vehicle's local position suffices."""
         if self._local is None or message.type_mask & _NO_POSITION:
             return
         here, position = self._local
@@ -124,13 +129,15 @@ class Telemetry:
         )
         known = message.hdg < 36000
         self.yaw = math.remainder(math.pi / 2 - math.radians(message.hdg / 100), math.tau) if known else None
-        # When it came, not when it was sent: a simulated autopilot's clock may run slower than ours, so that the lag
-        # of a single message cannot be told from their drift.
+        # The time of arrival, not of sending. A simulated autopilot's clock may run more slowly than the agent's, so
+        # the delay of a message cannot be distinguished from the drift of the clocks.
         self.time = now
 
     def _news(self, boot: int) -> bool:
-        """Whether a message with this time is newer than all before. What is repeated or was overtaken on the way must
-        not look fresh; two in a row that run on from long before mean that the vehicle's clock began anew."""
+        """Return whether a message is newer than all before. `boot`: its time in ms since the autopilot's boot.
+
+        A message that was duplicated or overtaken in transit must not count as fresh. Two successive messages whose
+        times lie LONG_AGO or more before the newest one, and increase, mean that the autopilot restarted."""
         if self._boot is not None and boot <= self._boot:
             runs_on = self._earlier is not None and 0 < boot - self._earlier < LONG_AGO
             self._earlier = boot
@@ -145,7 +152,7 @@ class Telemetry:
         self._ekf = self.landed = self.position = self.time = self.followed = self._local = None
 
     def _estimating(self, now: float) -> bool:
-        """Whether the EKF knows where it is, as ArduPilot itself decides it (Copter::ekf_has_absolute_position)."""
+        """Return whether the EKF has an absolute position, by ArduPilot's rule (Copter::ekf_has_absolute_position)."""
         if self._ekf is None or now - self._ekf_time > VOUCHED:
             return False
         absolute = bool(self._ekf & mavlink.EKF_POS_HORIZ_ABS)

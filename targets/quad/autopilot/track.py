@@ -1,7 +1,7 @@
-"""A position source's samples as one motion: velocity from them, and what is no motion, a jump, refused.
+"""Track filter for a position source: estimates the velocity from its samples, and rejects samples that jump.
 
-Velocity is that of a critically damped g-h filter, free of lag at constant velocity (E. Brookner, Tracking and Kalman
-Filtering Made Easy, 1998, chapter 1). Frame: local ENU, metres, radians; times are seconds on the agent's clock.
+The velocity is that of a critically damped g-h filter, which has no lag at constant velocity (E. Brookner, Tracking and
+Kalman Filtering Made Easy, 1998, chapter 1). Frame: local ENU, metres, radians; times are seconds on the agent's clock.
 """
 
 from __future__ import annotations
@@ -10,30 +10,33 @@ import math
 
 from koordgen.runtime.values.points import Point, Pose, distance
 
-MEMORY = 0.06  # seconds; at 50 samples a second, noise of 5 mm becomes 0.024 m/s, and an acceleration lags by 0.11 s
-# A sample is a jump when it is farther than SLACK, and what a vehicle is blown or falls in the time since the sample
-# before (a jump itself, perhaps), from where the motion so far leads. Of a silence no more than WHILE counts, nor does
-# the time that nothing but jumps has come: or each of them would be believed in the end.
+# Time constant of the filter, seconds. At 50 samples per second, noise of 5 mm in the positions gives 0.024 m/s in the
+# velocity, and under acceleration the velocity lags by 0.11 s.
+MEMORY = 0.06
+# A sample is a jump if its distance from the extrapolated position exceeds SLACK + (maximum speed + GUSTS) * t, where t
+# is the time since the sample before, rejected or not, and WHILE at most. GUSTS allows for wind and falling. The limit
+# grows neither over longer silences nor while all samples are rejected; else every jump would be accepted in the end.
 SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # metres, seconds, m/s
-YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s
+YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s: a change of yaw of more than YAW_SLACK + YAW_RATE * t is a jump, too
 
 
 class Track:
-    """Takes samples of a vehicle that flies at most `max_speed` (m/s) by itself. `pose`, `velocity` (m/s) and `time`
-    are of the last sample that was believed."""
+    """Track of a vehicle whose own speed is `max_speed` (m/s) at most.
+
+    `pose`, `velocity` (m/s) and `time` belong to the last accepted sample."""
 
     def __init__(self, max_speed: float) -> None:
         self._speed = max_speed + GUSTS
-        self._last = -math.inf  # when the last sample was, believed or not
-        self._refusing: float | None = None  # since when nothing but jumps has come
-        self._filtered = Point()
+        self._last = -math.inf  # time of the last sample, accepted or rejected
+        self._refusing: float | None = None  # time of the first rejected sample since the last accepted one
+        self._filtered = Point()  # filtered position
         self.pose: Pose | None = None
         self.velocity = Point()
         self.time = -math.inf
-        self.jumps = 0  # samples refused
+        self.jumps = 0  # number of rejected samples
 
     def take(self, pose: Pose, time: float) -> bool:
-        """Return whether the sample is accepted. One not newer than the last is neither accepted nor a jump."""
+        """Return whether the sample is accepted. A sample not newer than the last is ignored, and is not a jump."""
         if time <= self._last:
             return False
         since, self._last = time - self._last, time
@@ -62,15 +65,15 @@ class Track:
         self.velocity = self.velocity + off * ((1.0 - kept) ** 2 / seconds)
 
     def refused(self, now: float) -> float:
-        """For how many seconds nothing but jumps has come."""
+        """Return for how many seconds all samples have been rejected; 0 if the last one was accepted."""
         return 0.0 if self._refusing is None else now - self._refusing
 
     def forget(self) -> None:
-        """The next sample is believed, wherever it is: the vehicle was carried there."""
+        """Accept the next sample wherever it is, because the vehicle was carried there."""
         self.pose, self._refusing = None, None
 
     def at(self, time: float) -> Point | None:
-        """Return the extrapolated position, within WHILE seconds of the last sample."""
+        """Return the position extrapolated to `time`, by WHILE seconds at most; None before the first sample."""
         if self.pose is None:
             return None
         return self.pose.position + self.velocity * max(-WHILE, min(WHILE, time - self.time))

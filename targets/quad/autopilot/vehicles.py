@@ -1,4 +1,4 @@
-"""Which vehicles this target can fly, told by their heartbeat."""
+"""Vehicles that this target can fly, identified by the type and autopilot fields of HEARTBEAT."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FIRMWARES = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, mavlink.MAV_AUTOPIL
 
 
 def identified(link: Link) -> tuple[str, Firmware | None]:
-    """Return what the vehicle is, in words, and its firmware; None when it is none that this target can fly."""
+    """Return a description of the vehicle and its firmware. The firmware is None if this target cannot fly it."""
     vehicle = link.vehicle
     if vehicle is None:
         return "nothing", None

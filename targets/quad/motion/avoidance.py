@@ -1,4 +1,4 @@
-"""Keeps the quad clear of what stands in the fleet file: plans ways around it, and refuses ways through it."""
+"""Obstacle avoidance of the quad: plans paths around the fleet file's obstacles, and refuses paths through them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ from targets.quad.motion.motion import room
 from targets.quad.motion.rejoin import LEG, RUNNING
 from targets.quad.motion.trajectory import BULGE, CORNER
 
-LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
-RETREATS = (0.1, 0.2, 0.3, 0.4)  # m, how far away from an obstacle places are looked for,
-DIRECTIONS = 16  # ... and in how many directions
+LEG_SECONDS = 0.2  # seconds of planning for a leg back to the path; short, because the vehicle waits for the answer
+RETREATS = (0.1, 0.2, 0.3, 0.4)  # m from the vehicle to the places that are tried for a retreat from an obstacle
+DIRECTIONS = 16  # number of directions in which these places are tried
 
 MakePlanning = Callable[[str, World, float], Planning]
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Metres that a commanded way keeps from obstacles, added up. The settings have the same names."""
+    """Distance that a commanded path keeps from obstacles: the sum of these lengths in metres.
+
+    The fields are the settings of the same names."""
 
     radius: float
     tracking_error: float = 0.0
@@ -40,7 +42,12 @@ class Size:
 
 
 class Avoidance:
-    """Metres. `height` is that which targets are raised to: the quad plans where it flies, from there upwards."""
+    """Path planner and path check of one quad. Lengths in metres, in the fleet's ENU frame.
+
+    `height`: minimum flight height, to which targets are raised. So paths are planned from there upwards.
+    `clearance`: distance that planned paths keep from obstacles, beyond `size`.
+    `planner`: name of the planner. `planning`: makes the process that runs it.
+    """
 
     def __init__(
         self, settings: Settings, height: float, size: Size, clearance: float, planner: str, planning: MakePlanning
@@ -52,32 +59,33 @@ class Avoidance:
         self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, asdict(size))
-        # Of a tracking error, the reference cuts corners by as much itself.
+        # Distance of the reference trajectory's chords from obstacles. CORNER is subtracted from the tracking error,
+        # because the trajectory has cut its corners already; BULGE, as the trajectory may deviate from its chords.
         self._swerving = size.radius + size.position_error + max(0.0, size.tracking_error - CORNER) - BULGE
         self._names = dict(enumerate(peer.name for peer in settings.peers))
         self.published: dict[str, Path] = {}  # the other robots' paths, by their names
-        self._named = Scene()  # what the program named when it called the planner last
-        self._asked = False  # for a leg
-        self._admitted: Path | None = None  # what was commanded last and may be flown
+        self._named = Scene()  # obstacles that the program passed in its last call of the planner
+        self._asked = False  # whether the planner is at work on a leg
+        self._admitted: Path | None = None  # the last command, if it may be flown
         self._news: list[str] = []
-        self.refusal = ""  # why what was commanded last is not flown, in words
-        self.unplanned = ""  # why the program's planner found no way last, in words
+        self.refusal = ""  # reason why the last command is not flown, in words; "" if it is
+        self.unplanned = ""  # reason why the program's last call of the planner found no path, in words
 
     def start(self) -> None:
-        """Begin to make the planner. Raises Unready."""
+        """Start the planner's process. Raises Unready."""
         self._planning.start()
 
     def poll(self) -> None:
-        """Raises Unready when there is no such planner."""
+        """Process the planner's start-up. Raises Unready if there is no planner of that name."""
         self._planning.poll()
 
     @property
     def waiting(self) -> str:
-        """What the quad still waits for; "" if nothing."""
+        """Reason why the quad cannot start yet, for the log; "" once the planner is ready."""
         return "" if self._planning.ready else "waiting for the planner"
 
     def others(self, paths: Mapping[int, Path]) -> None:
-        """What the other robots have published."""
+        """Store the paths that the other robots have published, by their pids."""
         self.published = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
 
     @property
@@ -90,8 +98,9 @@ class Avoidance:
         return self._world.radius + self._world.kept
 
     def may_land(self, position: Point, place: Point) -> bool:
-        """Return whether the quad may land at `place` (see `landing.Surroundings`). It may land on an obstacle only
-        if an obstacle is under it already."""
+        """Return whether the quad may fly to `place` and land there (see `landing.Surroundings`).
+
+        It may land on an obstacle only if an obstacle is below it already."""
         lifted = self._lifted(place)
         within = (lifted.x, lifted.y) == (place.x, place.y)
         way = self.clear(position, place, RUNNING)
@@ -102,9 +111,13 @@ class Avoidance:
         return self.apart(place, Point(place.x, place.y, self._fence.lo.z), 0.0)
 
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
-        """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
-        others; () when there is none: a goal on the ground or outside the fence is infeasible. What is planned is what
-        would be flown: a way to a goal below the flight height, say, ends above it."""
+        """Return a path from `position` to `goal`, or () if there is none.
+
+        It avoids the fleet file's obstacles, those that the program passes as `named`, and the other robots' paths. A
+        goal on the ground or outside the geofence has no path.
+
+        The path is planned as it will be flown. For example, the path to a goal below the flight height is planned to
+        the point above the goal at flight height; only its last point is then replaced by the goal."""
         self.unplanned = ""
         if position is None or goal.z <= 0.0:
             return ()
@@ -119,14 +132,16 @@ class Avoidance:
         return (*path[:-1], goal) if path else ()
 
     def _explained(self, position: Point, reason: str) -> str:
-        """Why the planner found no way from here, to follow the goal."""
+        """Return why the planner found no path from `position`, worded to follow the goal's coordinates."""
         past = f", past the paths of {', '.join(sorted(self.published))}" if self.published else ""
         here = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         return f"has no path: {reason}" if reason else f"has no path from {here}{past}"
 
     def admits(self, position: Point | None, points: Path) -> bool:
-        """Whether the way from `position` along commanded points may be flown; if not, `refusal` and `news` say why.
-        Points that are not finite are another's business."""
+        """Return whether the path from `position` along the commanded points may be flown.
+
+        If not, `refusal` and `news` give the reason. Points that are not finite are admitted, since `Motion` refuses
+        them."""
         if points == self._admitted or position is None or not transmissible(points):
             self.refusal = ""
             return True
@@ -137,8 +152,10 @@ class Avoidance:
         return not trouble
 
     def resumes(self, points: Path, passed: int) -> bool:
-        """As `admits`, of a path that an earlier life of this agent followed: of its points so many are behind, and the
-        leg to the next one is looked at later."""
+        """Return whether the rest of a path may be flown that the agent followed before its restart.
+
+        The first `passed` points are behind the vehicle. The leg from the vehicle to the next point is not checked
+        here; `Rejoin` checks it later."""
         self._admitted = None
         if not self.admits(points[passed], points[passed + 1 :]):
             return False
@@ -206,7 +223,7 @@ class Avoidance:
         return told
 
     def diagnose(self, sleep: Callable[[float], None]) -> Finding:
-        """Makes the planner and ends it again."""
+        """Check the planner by starting and ending its process."""
         try:
             made(self._planning, sleep)
         except Unready as error:

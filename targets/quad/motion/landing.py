@@ -1,6 +1,6 @@
-"""The place to land at: beside other robots, not on them.
+"""Choice of a landing place that is not on another robot.
 
-A quad that comes to rest above a place or a path that another robot has published moves aside first, to the nearest
+Other robots publish their positions or paths. A quad that is to land above one of them first moves aside to the nearest
 free place, for SECONDS at most. Metres, seconds, local ENU.
 """
 
@@ -16,33 +16,35 @@ from targets.planning.world import Path
 from targets.quad.motion.reference import STANDING
 from targets.quad.motion.trajectory import norm
 
-FARTHEST, STEP = 1.6, 0.2  # m from the quad to the places that are looked at, and from one ring of them to the next
-DIRECTIONS = 16
-TURN = 2.4  # rad by which the first direction differs from robot to robot, lest two choose the same place
-SECONDS = 8.0  # that the way aside may take; then the quad lands where it is
-THERE = 0.15  # m from the place at which it lands
+# Candidate places lie on rings around the quad: the radius of the largest ring, and the distance between rings, in m.
+FARTHEST, STEP = 1.6, 0.2
+DIRECTIONS = 16  # number of places on each ring
+TURN = 2.4  # rad between the first directions of robots with successive pids, so that they choose different places
+SECONDS = 8.0  # seconds that the flight aside may take; after that, the quad lands where it is
+THERE = 0.15  # m; horizontal distance from the chosen place within which a slow quad begins to land
 
 
 class Surroundings(Protocol):
-    """The geofence and the obstacles around the quad."""
+    """Geofence and obstacles around the quad."""
 
     def may_land(self, position: Point, place: Point) -> bool:
-        """Return whether a quad may fly straight to a place and land there, as far as fence and obstacles go."""
+        """Return whether geofence and obstacles allow the quad to fly straight to a place and to land there."""
         ...
 
 
 class Landing:
-    """Choice of one robot's landing place. Robots keep a horizontal distance of `apart` metres."""
+    """Landing place of one robot, which is `apart` metres or more away, horizontally, from other robots' paths."""
 
     def __init__(self, pid: int, apart: float, surroundings: Surroundings) -> None:
         self._pid, self._apart, self._surroundings = pid, apart, surroundings
-        self._until: float | None = None  # when the quad lands at the latest; None: nothing was chosen yet
+        self._until: float | None = None  # latest time of the landing; None: no place was chosen yet
         self._place: Point | None = None
         self._news: list[str] = []
 
     def aside(self, position: Point, velocity: Point, others: dict[str, Path], now: float) -> Point | None:
-        """Return the place to fly to before the landing; None: land here. `others` are the published paths by the
-        names of their robots; the first call chooses."""
+        """Return the place to fly to before the landing, or None to land now at `position`.
+
+        `others`: published paths by robot name. The first call chooses the place; later ones keep it."""
         if self._until is None:
             self._until = now + SECONDS
             self._place = self._chosen(position, others)
@@ -66,7 +68,10 @@ class Landing:
         return place
 
     def _is_below(self, path: Path, position: Point) -> bool:
-        """Return whether the quad would come down on a path: half a body's height or more under it."""
+        """Return whether the quad at `position` would land on a path of another robot.
+
+        A path counts if its lowest point is more than apart / 4 below the quad, and it is horizontally nearer than
+        `apart`."""
         lower = min(p.z for p in path) < position.z - self._apart / 4
         return lower and _from_above(path, position) < self._apart
 
@@ -81,7 +86,7 @@ class Landing:
                 yield position + Point(math.cos(turn), math.sin(turn)) * (ring * STEP)
 
     def news(self) -> list[str]:
-        """Return what was chosen since the last call, for the log."""
+        """Return log lines on the choice of a landing place since the last call."""
         told, self._news = self._news, []
         return told
 

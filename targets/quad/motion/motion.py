@@ -1,4 +1,7 @@
-"""Where the vehicle is to be: the program's target or path, the pause, the waiting place; heading; `reached`."""
+"""Motion control: follows the program's target or path, pauses, and detects that the goal is reached.
+
+It steps the reference trajectory, sends setpoints with yaw, and checks that the autopilot follows them.
+"""
 
 from __future__ import annotations
 
@@ -17,27 +20,35 @@ from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoin
 from targets.quad.motion.trajectory import Limits, State, norm
 from targets.quad.motion.yaw import Yaw
 
-UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
-SPACING = 0.04  # seconds between two setpoints at least
-NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
-HALTING = 1.0  # seconds for which a halt is told
-PLANNED = 0.97  # of the limits of speed, for the reference: the rest is room for the vehicle to catch up
-SETTLED = 0.1  # m: a vehicle that is so near, and slow, stands where it is to wait
-MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
+UNFOLLOWED = 5.0  # seconds without evidence that the autopilot follows setpoints, after which `steer` raises Unready
+SPACING = 0.04  # minimum seconds between two setpoints
+NEAR = 0.3  # metres by which the setpoint that the autopilot reports may differ from the one sent
+HALTING = 1.0  # seconds for which the setpoint of a halt is repeated
+PLANNED = 0.97  # share of the speed limits that the reference uses; the vehicle catches up with the rest
+SETTLED = 0.1  # m; a slow vehicle within this distance of a standing reference counts as settled
+MARGIN = 0.15  # m from the geofence's faces that setpoints keep, because the vehicle wavers around them
 
 
 def room(fence: Box, height: float) -> Box:
-    """What may be made for: the fence without MARGIN at its sides and above, from the flight height upwards. A fence
-    too narrow for the margin keeps the middle half."""
+    """Return the box for targets and setpoints: the geofence, less MARGIN at its sides and its top.
+
+    The bottom of the box is the flight height `height`. Where the fence is too narrow for the margin, the box is the
+    middle half of its width."""
     lo, hi = clamp(fence, Point(-math.inf, -math.inf, -math.inf)), clamp(fence, Point(math.inf, math.inf, math.inf))
     x, y = (min(MARGIN, side / 4) for side in (hi.x - lo.x, hi.y - lo.y))
     return Box(Point(lo.x + x, lo.y + y, height), Point(hi.x - x, hi.y - y, max(height, hi.z - MARGIN)))
 
 
 class Motion:
-    """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `max_speed` and `climb` (vertical) are limits of the vehicle's own speed, m/s; `yaw` is `yaw.heading`'s,
-    `action` is `Standstill`'s."""
+    """Motion control of one vehicle. Lengths in metres, in the fleet's ENU frame.
+
+    `height`: minimum flight height; lower targets are raised to it. All targets are clamped into `room`.
+    `max_speed`, `climb`: limits of the vehicle's speed and of its vertical speed, m/s.
+    `acceleration`: limit of the reference's acceleration, m/s^2.
+    `radius`, `dwell`: the goal is reached after `dwell` seconds of standing within `radius` of it.
+    `yaw`: result of `yaw.heading`. `shaping`: the autopilot's response to setpoints. `ways`: obstacles and planner.
+    `action`: see `Standstill`.
+    """
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
@@ -53,20 +64,21 @@ class Motion:
         self._shaping = shaping
         self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()
-        self._goal: Point | None = None  # what `reached` is about
+        self._goal: Point | None = None  # last point of the command, to which `reached` refers
         self._near: float | None = None  # since when the vehicle stands at the goal
         self._sent: float | None = None  # when the last setpoint was sent
-        self._doubted: float | None = None  # since when the autopilot has shown no sign of following
-        self._halt: tuple[Point, float] | None = None  # goal of a stop, and until when it is sent
-        self.reached = True
-        self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
-        self.settled = False  # whether the vehicle was seen to stand where it is to wait, since it is steered
-        self.refused = 0  # targets that were not finite
+        self._doubted: float | None = None  # since when there is no evidence that the autopilot follows the setpoints
+        self._halt: tuple[Point, float] | None = None  # place of a halt, and the time until which it is sent
+        self.reached = True  # whether the goal is reached; True without a goal
+        self.followed = False  # whether there is evidence that the autopilot follows the setpoints
+        self.settled = False  # whether the vehicle has stood at its standing reference, since steering began
+        self.refused = 0  # number of commands refused because a point was not finite
 
     def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
-        """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
-        is being followed already changes nothing. With `passed`, so many points are behind the vehicle, and nobody has
-        checked the leg to the next one."""
+        """Fly along these points, in a straight line from each to the next.
+
+        A target is a path of one point. No points: stop. A command that is being followed already has no effect. If
+        `passed` is given, that many points are behind the vehicle, and the leg to the next one is unchecked."""
         if not transmissible(points):
             self.refused += 1
             return
@@ -79,12 +91,12 @@ class Motion:
         self._rejoin.command(now, unchecked=passed is not None)
 
     def hold(self, on: bool, now: float) -> None:
-        """Pause where the vehicle can stop, or resume."""
+        """Brake and hold the position, or resume."""
         self._rejoin.hold(on, now)
 
     @property
     def stall(self) -> str:
-        """See koordgen.runtime.vehicle.platform: why there is no way on from where the vehicle is."""
+        """Reason why the vehicle has no path to its goal, "" if it has one: see koordgen.runtime.vehicle.platform."""
         return self._rejoin.stall
 
     def news(self) -> list[str]:
@@ -92,8 +104,9 @@ class Motion:
         return self._rejoin.news()
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
-        """Send the next setpoint when one is due, and look whether the autopilot follows the last ones. Raises
-        Unready when it does not. Called while flying with a fresh position only."""
+        """Send the next setpoint if one is due, and check that the autopilot follows the setpoints.
+
+        Raises Unready if it does not. To be called only in flight and with a fresh position."""
         position = state.position
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
@@ -109,17 +122,17 @@ class Motion:
         self._judge(position, state.velocity, now)
 
     def _attend(self, position: Point, velocity: Point, now: float) -> None:
-        """Run the reference on, along legs that are clear."""
+        """Advance the reference to `now`, along legs that are clear of obstacles."""
         there = self.reached or self._goal is None or distance(position, self._goal) <= self._radius
         self._rejoin.poll(position, velocity, there, now)
 
     def coast(self, now: float) -> None:
-        """Not ours to steer, or not yet: nothing is sent, and nothing is guessed meanwhile."""
+        """Send nothing and drop the reference's state: the vehicle is not flying, or is under another's control."""
         self._drop(now)
         self._yaw.forget()
 
     def rise(self, state: Telemetry, now: float) -> None:
-        """The take-off climbs: only the yaw is watched, which is to stay as it is. Raises Unready."""
+        """During the take-off climb, only check that the yaw stays as it is. Raises Unready if it does not."""
         self._drop(now)
         if state.fresh(now):
             self._yaw.keep(state, now)
@@ -131,8 +144,10 @@ class Motion:
         self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
-        """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
-        velocity; told for a second, because some may be lost. Then nothing is sent."""
+        """Halt a vehicle in flight whose position is not fresh.
+
+        Sends a setpoint with a position only, so that the autopilot does not go on with the last velocity. The setpoint
+        is repeated for HALTING seconds, because messages may be lost. After that, nothing is sent."""
         halt = self._rejoin.drop(now)
         self._yaw.pause()
         if halt is not None and self._sent is not None:
@@ -148,8 +163,8 @@ class Motion:
             self._sent = now
 
     def _watch(self, link: Link, state: Telemetry, aim: Aim, now: float) -> None:
-        # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost. ArduPilot tells it only
-        # while it is a position alone; of one in motion, the vehicle shows by itself whether it is followed.
+        # The autopilot reports its setpoint at 5 Hz, and one report per second is enough. ArduPilot reports only
+        # setpoints without a velocity. Whether it follows the others shows in the vehicle's motion.
         near = NEAR if aim.velocity is None else NEAR + 1.2 * self._speed
         told = state.followed if now - state.followed_time < 1.0 else None
         if told is not None and distance(told, aim.position) < near:
@@ -168,7 +183,10 @@ class Motion:
             )
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
-        """`reached`: within the radius and standing still for the dwell; from then on, until a new target comes."""
+        """Update `settled` and `reached`.
+
+        The goal is reached once the vehicle has stood within the radius for the dwell time; it then stays reached until
+        the next command."""
         waiting = self._reference.at(0.0)
         stands = norm(waiting.velocity) == 0.0 and norm(velocity) < STANDING
         self.settled |= stands and distance(position, waiting.position) < SETTLED

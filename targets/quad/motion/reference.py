@@ -1,9 +1,11 @@
-"""The reference: the state that the vehicle is to have now and shortly, as targets, pauses and the vehicle itself
-change.
+"""Reference: the desired position and velocity of the vehicle, now and in the near future.
 
-It runs along a trajectory by the clock, slower when the vehicle falls behind, and stands when that is a leash away. A
-target that is commanded anew again and again is taken to go on as it went, and is accompanied instead of being stopped
-at each time; when nothing new has come of it for a while, the reference returns to where it was last.
+The reference advances along a trajectory with time. It slows down when the vehicle falls behind, and stands when the
+vehicle is a leash away from it.
+
+A program may command a new target again and again. The reference then assumes that the target moves on as before, and
+flies along with it instead of stopping at each commanded place. If no new target arrives for a while, the reference
+returns to the last one.
 """
 
 from __future__ import annotations
@@ -17,24 +19,26 @@ from koordgen.runtime.vehicle.safety import clamp
 from targets.planning.world import Path
 from targets.quad.motion.trajectory import ZERO, Limits, State, Trajectory, norm, plan, standing
 
-LEASH_TIME, LEASH_LENGTH = 0.5, 0.5  # s, m: the leash is LEASH_LENGTH + LEASH_TIME * speed
-LONGEST_STEP = 0.5  # s; the reference runs on by no more than that at once
-CREEP = 0.05  # of its rate, below which it stands
-FASTER = 1.0  # 1/s, by which the rate grows again after the trajectory was slowed
-PAUSE = 0.5  # s of running on at most when it is paused: as far as an autopilot needs to brake
-STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
-WINDOW = 0.4  # s of a target's last places from which its way is told
-# What is slower, or goes to and fro, is the noise of measured places and no motion: m/s, and the share of what its
-# steps add up to by which it must have come further.
+# s, m. At a distance of LEASH_LENGTH + LEASH_TIME * maximum speed from the vehicle (the leash), the reference stands.
+LEASH_TIME, LEASH_LENGTH = 0.5, 0.5
+LONGEST_STEP = 0.5  # s; maximum time by which the reference advances in one step
+CREEP = 0.05  # rate (reference time per real time) below which the reference stands
+FASTER = 1.0  # 1/s; growth of the rate after the caller of `advance` has limited it
+PAUSE = 0.5  # s; a pause puts the reference at most this time ahead, about as far as an autopilot needs to brake
+STANDING = 0.25  # m/s; slower vehicles count as standing. Estimates of a hovering vehicle's speed stay below this
+WINDOW = 0.4  # s of a target's last places from which its velocity is estimated
+# A moving target must be faster than PACE (m/s), and its displacement must be at least STRAIGHT times the length of the
+# path through its places. Anything else is noise of measured places.
 PACE, STRAIGHT = 0.1, 0.7
-SLOW = 0.1  # m/s; a way that is never faster, a centimetre, is no motion
-SETTLED = 0.5  # s that the vehicle may need to stand, after the reference
-RHYTHM = 0.6  # s between two targets at most for the second to be the first one's motion
+SLOW = 0.1  # m/s; a trajectory with a lower peak speed, over a centimetre or so, counts as no motion
+SETTLED = 0.5  # s that the vehicle may need to stand still after the reference does
+RHYTHM = 0.6  # s; if the next target arrives later than this, it is a new target and not the motion of the last one
 
 
 class Pursuit:
-    """Where a target is going, from its last places: the parabola through the first, the middle and the last of
-    them."""
+    """Prediction of a moving target: its velocity and acceleration (m/s, m/s^2) from its last places.
+
+    They are those of the parabola through the first, the middle and the last place in the WINDOW."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -42,16 +46,16 @@ class Pursuit:
         self.forget()
 
     def forget(self) -> None:
-        """It stands."""
+        """Assume that the target stands still."""
         self._seen.clear()
         self.velocity = self.acceleration = ZERO
-        self.until = -math.inf  # when it counts as standing unless something new has come
+        self.until = -math.inf  # time at which the target counts as standing, unless a new place arrives
 
     def note(self, target: Point, now: float) -> None:
-        """It is here now, and was not before."""
+        """Record a new place of the target, and update the prediction."""
         if self._seen:
             last, place = self._seen[-1]
-            # A tenth of a second more: rounds are not that regular.
+            # 0.1 s is added because the program's rounds, which command the places, are not regular.
             if now - last > RHYTHM or distance(target, place) > self._limits.speed * (now - last + 0.1):
                 self.forget()
         if self._seen and now <= self._seen[-1][0]:
@@ -74,21 +78,21 @@ class Pursuit:
 
 
 class Reference:
-    """Points must be finite and within the limits' box; times in seconds of any clock."""
+    """Reference state of one vehicle. Points must be finite and within the limits' box; times in s on any clock."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._leash = LEASH_LENGTH + LEASH_TIME * limits.speed
         self._pursuit = Pursuit(limits)
         self._points: tuple[Point, ...] = ()
-        self._passed = 0  # of the points, when the trajectory was planned
+        self._passed = 0  # number of points that were passed when the trajectory was planned
         self._trajectory: Trajectory | None = None
-        self._elapsed = 0.0  # of the trajectory's time
-        self._rate = 1.0  # of its time to ours
-        self._time = 0.0
-        self._slowed = False  # by `most`, which the rate leaves slowly
+        self._elapsed = 0.0  # s on the trajectory
+        self._rate = 1.0  # trajectory time per real time, 0 to 1
+        self._time = 0.0  # real time to which the reference has advanced
+        self._slowed = False  # whether `most` limited the rate; the rate then grows slowly
         self.paused = False
-        self.alone = True  # whether a position says all: it is at rest, to hold, or waits
+        self.alone = True  # whether to send setpoints without a velocity: the reference stands, is paused, or waits
 
     @property
     def started(self) -> bool:
@@ -101,12 +105,12 @@ class Reference:
 
     @property
     def ahead(self) -> tuple[Point, ...]:
-        """The points that are not behind; the last one stays. None before the first command or start."""
+        """The points that are not passed, and always the last one; () before the first command or start."""
         return self._points[min(self._behind(), len(self._points) - 1) :] if self._points else ()
 
     @property
     def stood(self) -> float:
-        """For how many seconds it has stood, and will unless something new comes; negative while it moves."""
+        """Seconds since the reference came to a final stand; negative while it moves, infinite if it never moved."""
         trajectory = self._trajectory
         if trajectory is None or trajectory.peak == 0.0:
             return math.inf
@@ -114,7 +118,7 @@ class Reference:
 
     @property
     def rate(self) -> float:
-        """Of its time to ours."""
+        """Trajectory time per real time, 0 to 1."""
         return self._rate
 
     @property
@@ -123,9 +127,11 @@ class Reference:
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
-        """From where the vehicle is and as it moves, towards what is ahead; where nothing is, or paused, to a stop."""
+        """Plan a trajectory from the vehicle's position and velocity to the points ahead.
+
+        Without points, or if paused, plan a stop."""
         at = clamp(self.limits.box, position)
-        climb = velocity.z if at.z == position.z else 0.0  # below the box, as when a climb ends, it comes up by itself
+        climb = velocity.z if at.z == position.z else 0.0  # a clamped height moves into the box by itself
         state = State(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
         if norm(state.velocity) < STANDING or not self.limits.safe(state):
             state = State(state.position)
@@ -134,8 +140,9 @@ class Reference:
         self._replan(State(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:
-        """The vehicle goes its own ways; `start` begins anew. Where it would have stood if it had been paused
-        instead."""
+        """Drop the trajectory, because the vehicle no longer follows it; `start` plans a new one.
+
+        Return the place where the reference would have stood if it had been paused instead; None if not started."""
         state = self._run(now)
         self._passed, self._trajectory = self._behind(), None
         self._pursuit.forget()
@@ -147,8 +154,9 @@ class Reference:
         return self._trajectory
 
     def way(self) -> Path:
-        """Return places ahead on the trajectory, which is near to the straight lines between them: see
-        `Trajectory.chords`. A target in motion is accompanied until it counts as standing. Only when it was started."""
+        """Return places ahead on the trajectory, which is near to the straight lines between them.
+
+        See `Trajectory.chords`. A moving target is followed until it counts as standing. Requires `start`."""
         trajectory = self._trajectory
         assert trajectory is not None
         way = trajectory.chords(self._elapsed)
@@ -158,7 +166,7 @@ class Reference:
         return tuple(way)
 
     def follow(self, points: tuple[Point, ...], now: float) -> None:
-        """Go by these points from now on; none: stop."""
+        """Follow these points from now on; without points, stop."""
         state = self._run(now)
         if len(points) == 1:
             self._pursuit.note(points[0], now)
@@ -170,11 +178,11 @@ class Reference:
             self._replan(state)
 
     def detour(self, points: tuple[Point, ...]) -> None:
-        """Go by these points, the last of which is the next one ahead, and then on as before. Only while paused."""
+        """Insert a detour to the next point ahead: `points`, which end with that point. Only while paused."""
         self._points, self._passed = (*points, *self.ahead[1:]), 0
 
     def pause(self, on: bool, now: float) -> None:
-        """Stand as soon as can be, or go on."""
+        """Stop as soon as possible, or resume."""
         state = self._run(now)
         if on:
             self._passed = self._behind()  # before `paused` is set: a paused reference passes no point
@@ -187,7 +195,7 @@ class Reference:
         self._replan(state)
 
     def advance(self, position: Point, now: float, most: float = 1.0) -> None:
-        """The vehicle is there now. The trajectory runs on at `most` times its own pace, at most."""
+        """Advance the reference to `now`, and set its rate by its distance from the vehicle. `most` limits the rate."""
         since = max(0.0, now - self._time)
         state = self._run(now)
         if state is None:
@@ -205,7 +213,7 @@ class Reference:
         self.alone = self.paused or self.waits or self.stood >= SETTLED or (self.alone and short)
 
     def at(self, seconds: float) -> State:
-        """Return the predicted state after this many seconds. Only after the start."""
+        """Return the predicted reference state `seconds` from now. Requires `start`."""
         assert self._trajectory is not None
         state, turn = self._trajectory.at(self._elapsed + self._rate * seconds), self._pursuit.acceleration
         return State(
@@ -244,7 +252,7 @@ class Reference:
         self._trajectory = plan(state, ahead, self.limits)
 
     def _kept(self, trajectory: Trajectory) -> bool:
-        """Return whether it can be braked within the box as long as it may be followed without anything new."""
+        """Return whether, until the target counts as standing, braking from the trajectory ends within the box."""
         seconds = self._pursuit.until - self._time + 0.1
         steps = math.ceil(seconds / 0.1)
         return all(self.limits.safe(trajectory.at(seconds * i / steps)) for i in range(steps + 1))

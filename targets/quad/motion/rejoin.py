@@ -1,9 +1,11 @@
-"""Return to the path: a leg that starts where the vehicle is, and not where its reference was, is checked first.
+"""Return to the path: checks the leg from the vehicle's position, away from its path, to the path's next point.
 
-Such legs begin after a hold, a take-over, a time in which the agent did not run, and when the vehicle has left its
-path. A leg must keep the planner's distance from the obstacles. Where it does not, the vehicle brakes and stands, and a
-leg to the next point is planned, beside the control loop. Without any clear leg the vehicle holds, says so, and asks
-again every RETRY seconds. Metres, seconds, local ENU.
+A leg is the straight line, or a planned path, to the next point. It is needed after a hold, after another has
+controlled the vehicle, after a time in which the agent did not run, and when the vehicle has left its path.
+
+A leg must keep a share (LEG) of the planner's clearance from obstacles. If the straight line does not, the vehicle
+brakes and stands while the planner searches for a leg in its own process. If there is no clear leg, the vehicle holds,
+reports that, and retries every RETRY seconds. Metres, seconds, local ENU.
 """
 
 from __future__ import annotations
@@ -20,52 +22,59 @@ from targets.quad.motion.reference import STANDING, Reference
 from targets.quad.motion.setpoint import Aim, Shaping, runs_on
 from targets.quad.motion.trajectory import Trajectory, norm
 
-LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
-OFF = 0.2  # m from its reference beyond which the straight line back to it is checked
-# s for which the vehicle must be slow before a leg begins: an autopilot that is still braking when the kind of setpoint
-# changes swings back, and then flies faster than the limit to catch up.
+LATE = 0.3  # s without a setpoint after which the vehicle may have flown on past its reference
+OFF = 0.2  # m between vehicle and reference beyond which the straight line between them is checked
+# s for which the vehicle must be slow before a leg begins. Setpoints change between position only and position with
+# velocity; an autopilot that is still braking at that change swings back, and then exceeds the speed limit to catch up.
 STILL = 0.7
-BRAKING = 3.0  # s that the vehicle may need to stand; after them a leg is looked for all the same
+BRAKING = 3.0  # s of braking after which a leg is searched for even if the vehicle does not stand still
 RETRY = 1.0  # s between two attempts to find a leg
-PATIENCE = 2.0  # s that a planner may take; then it is asked again
-RUNNING = 0.5  # of the planner's clearance that is kept where a vehicle may be drawn to, or run on to
-LEG = 0.75  # ... on a leg back to the path, which may begin a little beside it: the path itself keeps all
-# m that the vehicle may be behind its reference before that one waits, where obstacles are nearer than the radius and
-# this much of the clearance. (From a stand it is 0.3 m late: an autopilot begins anew with each kind of setpoint.)
+PATIENCE = 2.0  # s to wait for the planner; after that, a leg is searched for anew
+# Shares of the planner's clearance that are kept from obstacles. The path itself keeps the whole clearance.
+RUNNING = 0.5  # on lines to which the vehicle may be drawn, or along which it may fly on without setpoints
+LEG = 0.75  # on a leg back to the path: less than 1, because the leg may begin a little beside the path
+# Nearer to an obstacle than the radius and NEARBY times the clearance, the reference slows down if the vehicle is more
+# than TIGHT (m) behind it. (A vehicle that starts from a stand is 0.3 m behind, because the autopilot's controller
+# restarts when the kind of setpoint changes.)
 TIGHT, NEARBY = 0.15, 2.0
-LOOK = 1.0  # s: a reference that heads for an obstacle is no faster than the distance from it over this time,
-SLOWEST = 0.15  # m/s, but always so fast
-BISECTIONS = 6  # of a distance that an obstacle limits
+LOOK = 1.0  # s: a reference that heads for an obstacle flies at most at (free distance ahead) / LOOK, in m/s,
+SLOWEST = 0.15  # m/s: but need not fly more slowly than this
+BISECTIONS = 6  # bisection steps in the search for the free distance up to an obstacle
 
 
 class Ways(Protocol):
-    """Obstacles, and a planner. What is nearer to a line's start than the line must keep may stay as near."""
+    """Obstacles and planner of one vehicle.
+
+    An obstacle that is nearer to the start of a line than the required distance may stay as near along the line."""
 
     def clear(self, start: Point, end: Point, margin: float) -> bool:
-        """Return whether a straight line keeps the body's radius, and this part of the planner's clearance, from the
-        obstacles of the fleet file."""
+        """Return whether a straight line keeps its distance from the obstacles of the fleet file.
+
+        The distance is the vehicle's radius plus `margin` times the planner's clearance."""
         ...
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
-        """Return what `clear` does, but obstacles that are near to the start must be kept away from as well."""
+        """Return whether a line is clear as in `clear`, but keeps the distance also from obstacles near its start."""
         ...
 
     def flyable(self, way: Path) -> bool:
-        """Return whether the reference may go on along these points, which are its own: corners are cut already."""
+        """Return whether the reference may go on along these chords of its trajectory; its corners are cut already."""
         ...
 
     def retreat(self, position: Point) -> Point:
-        """Return a place nearby that keeps the distance of a leg, from where the body may be nearer to an obstacle;
-        `position` where that is far enough away, or no such place is found."""
+        """Return a place near `position` that keeps a leg's distance (LEG) from obstacles.
+
+        Return `position` itself if it keeps that distance, or if no such place is found."""
         ...
 
     def leg_clear(self, start: Point, end: Point) -> bool:
-        """Return whether a leg may be flown as if the planner had answered it; obstacles that the program named count,
-        too."""
+        """Return whether a straight leg may be flown without a call of the planner.
+
+        It must also keep its distance from the obstacles that the program passed in its last call of the planner."""
         ...
 
     def ask_leg(self, start: Point, end: Point) -> bool:
-        """Request a leg, which `leg` returns. Return False if that is not possible now."""
+        """Request a leg from the planner; `leg` returns the answer. Return False if that is not possible now."""
         ...
 
     def leg(self) -> Path | None:
@@ -74,7 +83,7 @@ class Ways(Protocol):
 
 
 class OpenSpace:
-    """Implements Ways where nothing stands."""
+    """Implementation of Ways without obstacles and without a planner."""
 
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         return True
@@ -101,16 +110,18 @@ class OpenSpace:
 class Stage(enum.Enum):
     """Stage of the return to the path."""
 
-    FLYING = enum.auto()  # along the reference
-    RESUMING = enum.auto()  # the next poll checks the leg from a place near the reference
-    BRAKING = enum.auto()
-    ASKING = enum.auto()  # the planner, while the vehicle stands
-    STANDING = enum.auto()  # no clear leg was found
+    FLYING = enum.auto()  # the vehicle follows the reference
+    RESUMING = enum.auto()  # a hold has ended; the next poll checks the leg from the place of the hold
+    BRAKING = enum.auto()  # the vehicle brakes, before a leg is searched for
+    ASKING = enum.auto()  # the planner searches for a leg, and the vehicle stands
+    STANDING = enum.auto()  # no clear leg was found, and the vehicle stands
 
 
 class Rejoin:
-    """Owns when the reference is paused. `held` is the wish of the safety layer; the reference is paused then, and
-    whenever a leg is looked for. `action` is `Standstill`'s."""
+    """State machine of the return to the path; it decides when the reference is paused.
+
+    The reference is paused while the safety layer holds the vehicle (`held`), and while a leg is searched for.
+    `action`: see `Standstill`."""
 
     def __init__(self, reference: Reference, ways: Ways, action: str = "hold") -> None:
         self._reference, self._ways = reference, ways
@@ -119,13 +130,13 @@ class Rejoin:
         self._slow: float | None = None  # since when the vehicle has been slow
         self._polled: float | None = None
         self._standstill = Standstill(action)
-        self._no_leg = ""  # why no leg is flown, in words
-        self._checked: Trajectory | None = None  # the reference's, which may be flown
-        self._from = Point()  # where the leg that is looked for begins: near the vehicle
+        self._no_leg = ""  # reason why no leg is flown, in words; "" if there is none
+        self._checked: Trajectory | None = None  # the reference's trajectory that was checked last
+        self._from = Point()  # start of the leg that is searched for: the vehicle's position or a place near it
         self.held = False
 
     def hold(self, on: bool, now: float) -> None:
-        """Pause, or check the leg and resume."""
+        """Hold, or end the hold: the next poll then checks the leg and resumes."""
         if on == self.held:
             return
         self.held = on
@@ -134,7 +145,9 @@ class Rejoin:
         self._pause(now)
 
     def command(self, now: float, unchecked: bool) -> None:
-        """The reference follows other points now. `unchecked` says that nobody checked the leg to the first of them."""
+        """React to a new command, which the reference follows already.
+
+        `unchecked`: the leg to its first point was not checked, so the vehicle brakes, and the leg is checked."""
         self._standstill.command()
         self._no_leg = ""
         if unchecked or self._stage is not Stage.FLYING:
@@ -142,13 +155,15 @@ class Rejoin:
             self._pause(now)
 
     def drop(self, now: float) -> Point | None:
-        """Another steers the vehicle, or its position is not known. See `Reference.drop`."""
+        """Drop the reference's trajectory: another steers the vehicle, or its position is unknown.
+
+        See `Reference.drop`."""
         halt = self._reference.drop(now)
         self._polled = None
         return halt
 
     def poll(self, position: Point, velocity: Point, arrived: bool, now: float) -> None:
-        """Start, check, and resume the reference. `arrived` says that the vehicle has no reason to move."""
+        """Start, check, advance or resume the reference. `arrived`: the vehicle has no reason to move."""
         late = self._polled is None or now - self._polled > LATE
         self._polled = now
         if late or not self._reference.started:
@@ -185,8 +200,10 @@ class Rejoin:
             self._choose(position, velocity, now)
 
     def _goes_clear(self) -> bool:
-        """Return whether the reference keeps away from obstacles. A way that is straight and clear for a vehicle that
-        stands may lead one that moves into an obstacle: it turns in a bow. A target in motion is overshot."""
+        """Return whether the reference's trajectory is clear of obstacles.
+
+        A clear straight line to the target does not suffice. A moving vehicle turns towards it in an arc, and
+        overshoots a moving target, so either may lead into an obstacle."""
         if self._reference.trajectory is self._checked:
             return True
         self._checked = self._reference.trajectory
@@ -207,15 +224,16 @@ class Rejoin:
         return not self._ways.apart(position, here, LEG)
 
     def _brake(self, position: Point, velocity: Point, now: float) -> None:
-        """Begin anew where the vehicle is, by standing."""
+        """Brake, and restart the reference at the vehicle's position."""
         self._reference.drop(now)
         self._enter(Stage.BRAKING, now)
         self._pause(now)
         self._reference.start(position, velocity, now)
 
     def _choose(self, position: Point, velocity: Point, now: float) -> None:
-        """From a stand: fly to the next point if the leg is clear, else have one planned. A vehicle that is near to an
-        obstacle moves away from it first."""
+        """Fly to the next point if the straight leg from the standing vehicle is clear, else ask the planner for a leg.
+
+        A vehicle that is too near to an obstacle moves away from it first."""
         goal = self._reference.ahead[0]
         there = distance(position, goal) <= OFF
         self._from = position if there else self._ways.retreat(position)
@@ -223,7 +241,7 @@ class Rejoin:
             self._resume((goal,), position, velocity, now)
         elif self._ways.ask_leg(self._from, goal):
             self._enter(Stage.ASKING, now)
-            self._answered(position, velocity, now)  # it may have come at once
+            self._answered(position, velocity, now)  # the planner may have answered already
         else:
             self._enter(Stage.STANDING, now)
 
@@ -236,7 +254,7 @@ class Rejoin:
         goal = self._reference.ahead[0]
         if leg:
             self._resume((*leg[1:-1], goal), position, velocity, now)
-        elif self._ways.clear(position, goal, 0.0):  # as near as a command may lead
+        elif self._ways.clear(position, goal, 0.0):  # with the distance that a command must keep
             self._resume((goal,), position, velocity, now)
         else:
             self._enter(Stage.STANDING, now)
@@ -262,8 +280,11 @@ class Rejoin:
             self._reference.pause(paused, now)
 
     def bounded(self, aim: Aim, position: Point, shaping: Shaping) -> Aim:
-        """The same demand, with as much velocity as leads to no obstacle while the autopilot runs on without us. As in
-        `setpoint`, velocity is exchanged for position. A position alone is not behind an obstacle."""
+        """Return a setpoint that leads into no obstacle even if it is the last one that the autopilot receives.
+
+        After the last setpoint, the autopilot goes on at the setpoint's velocity for some seconds (`runs_on`). So the
+        velocity is reduced, and the position is moved forward to keep the demanded velocity, as in module `setpoint`. A
+        setpoint without a velocity is moved back to a place before the obstacle."""
         if aim.velocity is None:
             return Aim(self._free(position, aim.position), None, aim.yaw)
         p, v = aim.position, aim.velocity
@@ -309,7 +330,7 @@ class Rejoin:
 
     @property
     def stall(self) -> str:
-        """Why the vehicle does not go on, "" while it does: see koordgen.runtime.vehicle.platform."""
+        """Reason why the vehicle stands without a clear path, else "": see koordgen.runtime.vehicle.platform."""
         return self._standstill.holding or self._no_leg
 
     def news(self) -> list[str]:

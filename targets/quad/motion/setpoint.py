@@ -1,22 +1,24 @@
-"""Setpoints: what is sent to the autopilot so that the vehicle has the reference's state when the reference has it.
+"""Setpoints that make the vehicle follow the reference without lag, despite the autopilot's shaping of setpoints.
 
-An autopilot does not take a setpoint as it comes: ArduPilot shapes it (AC_PosControl, AP_Math's shape_pos_vel_accel)
-with the gains KPv = PSC_JERK_NE / 2 WP_ACC = 1/s and KPa = PSC_JERK_NE / WP_ACC = 2/s, vertically 2.5/s and 5/s:
+Model. ArduPilot shapes each setpoint (AC_PosControl, shape_pos_vel_accel in AP_Math). The horizontal gains are
+KPv = PSC_JERK_NE / 2 WP_ACC = 1/s and KPa = PSC_JERK_NE / WP_ACC = 2/s; the vertical ones are 2.5/s and 5/s. PX4 has
+much the same gains (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
 
-    x'' = KPa (KPv (p - x) + v - x')      p, v: the setpoint's position and velocity; x: what the vehicle is steered to
+    x'' = KPa (KPv (p - x) + v - x')      p, v: the setpoint's position and velocity; x: the shaped position target
 
-A position alone is so followed 1/KPv = 1 s late. With the velocity, x misses what x'' takes: p'' / KPa KPv, 0.16 m on a
-circle of 2 m at 0.8 m/s. The velocity v + p''/KPa gives it back: x = p. What is steered to is reached a lean later (0.1
-s), and a setpoint takes the link's time. So velocity is sent for 1/KPa and the lean ahead, by the mean of p'' over the
-next third of a second, because p'' jumps; and position and velocity both for the link ahead.
+Lag. With setpoints of a position only, x follows 1/KPv = 1 s late. With p and v, x has an error of p'' / (KPa KPv),
+which is 0.16 m on a circle of 2 m at 0.8 m/s. Sending the velocity v + p''/KPa instead removes that error: x = p.
 
-KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. When
-setpoints cease, the vehicle runs on to p + RUN_ON v at v, and then needs room to stop. PX4's
-gains come to much the same (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
+Delays. The vehicle reaches x after the time to lean (0.1 s), and a setpoint reaches the autopilot after the link's
+delay. So position and velocity are those of the reference after the link's delay. The velocity is extrapolated by
+1/KPa and the time to lean besides, with the mean of p'' over the next third of a second, because p'' jumps.
 
-The demand KPv (p - x) + v is what the vehicle's velocity goes to. Nothing else limits it, neither for a position alone
-nor with a velocity (WP_SPD is 5 m/s or more). So p is brought so near to the vehicle that the demand keeps the speed
-within the limits (`bounded`).
+Geofence. When setpoints cease, the vehicle goes on at v to p + RUN_ON v, and then needs room to stop. The shaping
+depends on KPv p + v only. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s.
+
+Speed limit. The vehicle's velocity converges to the demand KPv (p - x) + v. The autopilot does not limit it to the
+robot's limits, neither for a position only nor with a velocity (WP_SPD is 5 m/s or more). So `bounded` moves p so near
+to the vehicle that the demand keeps the speed within the limits.
 """
 
 from __future__ import annotations
@@ -35,27 +37,33 @@ from targets.mavlink.link import Vehicle
 from targets.quad.motion.reference import Reference
 from targets.quad.motion.trajectory import ZERO, Limits, State, norm
 
-# Bits of the type mask say what to ignore; position, velocity and acceleration are each used whole or not at all.
-POSITION = 0xDF8
-POSITION_VELOCITY = 0xDC0
-YAW = 0x400  # taken away when a yaw is given
+# Type masks of SET_POSITION_TARGET: each bit marks a field to ignore. Autopilots use all three components of position,
+# velocity or acceleration, or none.
+POSITION = 0xDF8  # ignore all but the position
+POSITION_VELOCITY = 0xDC0  # ignore all but position and velocity
+YAW = 0x400  # ignore the yaw; cleared if the setpoint has a yaw
 
-OBEYED = 0.5  # the part of a demanded change of velocity that is there a third of a second later: 1 - exp(-KPa t)
-RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
-# How it stops then: after so many seconds of going on, by so many m/s^2, horizontally (WP_ACC) and up (WP_ACC_Z).
+OBEYED = 0.5  # share of a demanded change of velocity that is achieved after a third of a second: 1 - exp(-KPa t)
+RUN_ON = 3.0  # s for which an autopilot keeps the last setpoint's velocity (GUID_TIMEOUT)
+# After that, the vehicle flies on for LEANING (s) and then brakes by BRAKING (m/s^2): horizontally (WP_ACC) and
+# vertically (WP_ACC_Z).
 LEANING = 0.3
 BRAKING = (2.5, 1.0)
 
 
 class NotSendable(ValueError):
-    """A setpoint that is not finite: it would abort the autopilot's process, so it is never sent."""
+    """Raised for a setpoint that is not finite. It is never sent, because it would abort the autopilot's process."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shaping:
-    """What an autopilot makes of setpoints, in seconds, horizontally and vertically: `late` is 1/KPv, `lead` 1/KPa and
-    the time to lean or to change thrust; `delay` is the link's and half of the setpoints' spacing; `ahead` is over how
-    long the reference's acceleration is averaged."""
+    """Response of an autopilot to setpoints (see the module). All in seconds; pairs are (horizontal, vertical).
+
+    `late`: 1/KPv.
+    `lead`: 1/KPa plus the time to lean, or to change thrust.
+    `delay`: delay of the link plus half of the time between setpoints.
+    `ahead`: time over which the reference's acceleration is averaged.
+    """
 
     late: tuple[float, float] = (1.0, 0.4)
     lead: tuple[float, float] = (0.6, 0.25)
@@ -76,11 +84,14 @@ class Aim:
 
 
 def aimed(reference: Reference, here: State, shaping: Shaping, limits: Limits) -> Aim:
-    """Return the aim to send now, within the limits and in their box for as long as it may be obeyed; where the vehicle
-    is outside the box, between both. `here` is the vehicle's state when the aim arrives.
+    """Return the setpoint to send now. `here`: the predicted state of the vehicle when the setpoint arrives.
 
-    The aim is a position alone on hold, at rest and for ways so short that they are none: ArduPilot's controller starts
-    anew when the kind of setpoint changes, so that is done while the vehicle stands."""
+    The setpoint is within the limits, and keeps the vehicle in their box for as long as the autopilot may follow it. If
+    the vehicle is outside the box, the setpoint is between the vehicle and the box.
+
+    The setpoint has a position only while the reference holds, stands, or moves by a negligible distance. The reason:
+    ArduPilot's controller restarts when the kind of setpoint changes, so the kind changes only while the vehicle
+    stands."""
     state = reference.at(shaping.delay)
     if reference.alone:
         return bounded(Aim(clamp(limits.box, state.position)), here, shaping, limits)
@@ -93,8 +104,9 @@ def aimed(reference: Reference, here: State, shaping: Shaping, limits: Limits) -
 
 
 def bounded(aim: Aim, here: State, shaping: Shaping, limits: Limits) -> Aim:
-    """Return the aim, brought so near to the vehicle that the velocity that it leads to is within the limits. It leaves
-    the box no farther than the vehicle has."""
+    """Return the setpoint, moved so near to the vehicle that the resulting velocity is within the limits.
+
+    It is in the box, or no farther outside than the vehicle is."""
     velocity, (level, up) = aim.velocity or ZERO, shaping.late
     demand = velocity + _scaled(aim.position - here.position, (1 / level, 1 / up))
     soon = here.velocity + (demand - here.velocity) * OBEYED
@@ -111,7 +123,9 @@ def bounded(aim: Aim, here: State, shaping: Shaping, limits: Limits) -> Aim:
 
 
 def runs_on(speed: float, braking: float = BRAKING[0]) -> float:
-    """Return the seconds of a speed (m/s) in which a vehicle would go as far as it does after the last setpoint."""
+    """Return the distance that a vehicle flies after the last setpoint, divided by its speed (m/s): a time in seconds.
+
+    `braking`: deceleration, m/s^2."""
     return RUN_ON + LEANING + speed / (2 * braking)
 
 
@@ -121,7 +135,9 @@ def _scaled(p: Point, by: tuple[float, float]) -> Point:
 
 
 def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> Aim:
-    """Return the same demand, with as much velocity as leads to no face of the box when the vehicle runs on."""
+    """Return a setpoint with the same demand whose velocity leads the vehicle out of the box at no face.
+
+    That must hold even if it is the last setpoint, so that the vehicle flies on (`runs_on`)."""
     axes = [
         _axis(p, v, lo, hi, late, runs_on(abs(v), braking))
         for p, v, lo, hi, late, braking in zip(
@@ -138,8 +154,9 @@ def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> 
 
 
 def _axis(p: float, v: float, lo: float, hi: float, late: float, seconds: float) -> tuple[float, float]:
-    """One axis: position and velocity with p' + seconds v' within lo to hi, and p' + late v' as it was if that is
-    there."""
+    """Return p', v' of one axis with p' + seconds v' within lo to hi.
+
+    The demand p' + late v' equals p + late v if that is within lo to hi, too."""
     p = max(lo, min(p, hi))
     face = hi if v > 0 else lo
     if (face - p - seconds * v) * (1 if v > 0 else -1) >= 0:
@@ -151,11 +168,13 @@ def _axis(p: float, v: float, lo: float, hi: float, late: float, seconds: float)
 
 
 def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, aim: Aim) -> Message:
-    """The message for an aim: the position clamped to the fence, the velocity shortened until it leads to no face of it
-    when the vehicle runs on. Raises NotSendable unless all is finite.
+    """Return the MAVLink message for an aim. Raises NotSendable unless all values are finite.
 
-    GLOBAL_INT, because robots share no local frame; AMSL (frame 5), because a height above home would be a height
-    above where this vehicle happened to arm. Unused fields are zero, never NaN.
+    The position is clamped to the geofence. The velocity is reduced until the vehicle stays inside the fence even if it
+    flies on after this setpoint (`runs_on`).
+
+    The message is SET_POSITION_TARGET_GLOBAL_INT, because robots share no local frame. Its altitude is AMSL (frame 5),
+    because home is wherever this vehicle armed. Unused fields are zero, never NaN.
     """
     p, v, yaw = aim.position, aim.velocity, aim.yaw
     if not all(map(math.isfinite, (p.x, p.y, p.z, *((v.x, v.y, v.z) if v else ()), yaw or 0.0))):

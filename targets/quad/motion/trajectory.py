@@ -1,11 +1,13 @@
-"""The reference trajectory: straight from waypoint to waypoint, within limits of speed, climb and acceleration.
+"""Reference trajectory: straight legs between waypoints, within limits of speed, climb rate and acceleration.
 
-A trajectory is a chain of pieces of constant acceleration; so its velocity is continuous, its acceleration and speed
-are those of the pieces' ends, and it can be told for any moment ahead. A corner is passed on a parabola: speeds in and
-out are equal, the velocity turns at the acceleration limit. The parabola begins as far before the corner as it ends
-behind it, d = v^2 |du| / 2a, and passes the corner at v^2 |du|^2 / 8a, where du is the difference of the unit vectors
-of the two legs (L. Biagiotti, C. Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.2.2 and
-chapter 8).
+A trajectory is a chain of pieces of constant acceleration. So its velocity is continuous, its speed is largest at an
+end of a piece, and its state can be computed for any time ahead.
+
+A corner is passed on a parabola, on which the velocity turns at the acceleration limit a. The speed v is the same at
+both ends. The parabola begins at the distance d = v^2 |du| / 2a before the corner and ends at the same distance behind
+it. It passes the corner at the distance v^2 |du|^2 / 8a. Here du is the difference of the unit vectors of the two legs.
+Source: L. Biagiotti, C. Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.2.2 and
+chapter 8.
 
 Metres and seconds; any Cartesian frame whose z is up.
 """
@@ -22,18 +24,24 @@ from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.safety import inside
 
-CORNER = 0.1  # m by which a corner is cut at most, and by which braking amid it leaves the polyline at most
-BULGE = 0.005  # m by which the trajectory differs from its chords at most
-CLOSE = 1e-3  # m; a waypoint nearer than that to the one behind it is the same
-_STILL = 1e-9
-_BISECTIONS = 10
+CORNER = 0.1  # m; maximum distance from the polyline of waypoints, on a cut corner and when braking within the corner
+BULGE = 0.005  # m; maximum distance of the trajectory from its chords
+CLOSE = 1e-3  # m; successive waypoints nearer to each other than this count as one
+_STILL = 1e-9  # speeds (m/s) and lengths (m) below this count as zero
+_BISECTIONS = 10  # bisection steps in the search for the fastest turn towards the first waypoint
 ZERO = Point()
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Speed (m/s, in space), vertical speed (m/s, up or down), acceleration (m/s^2, in space), and the box that is
-    never left, whatever the trajectory is changed to: neither by a position nor by braking from there."""
+    """Limits of a trajectory.
+
+    `speed`: m/s, of the velocity in three dimensions.
+    `climb`: m/s, of the vertical speed, up or down.
+    `acceleration`: m/s^2, in three dimensions.
+    `box`: contains every position, and every place where braking from the trajectory ends. So a later change of the
+    trajectory cannot leave the box either.
+    """
 
     speed: float
     climb: float
@@ -47,8 +55,10 @@ class Limits:
         return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
 
     def most(self, along: float, up: float, drift_up: float, room: float) -> float:
-        """`top` of the direction's product with the drift, the vertical components of both, and what the square of the
-        drift leaves of that of the speed."""
+        """Return the same as `top`, from precomputed numbers.
+
+        `along`: dot product of direction and drift. `up`, `drift_up`: their vertical components. `room`: speed^2 -
+        drift^2."""
         s = math.sqrt(max(0.0, along * along + room)) - along
         if up > _STILL:
             s = min(s, (self.climb - drift_up) / up)
@@ -80,7 +90,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A time of constant acceleration, in seconds. `ahead` is the index of the next waypoint."""
+    """Piece of a trajectory with constant acceleration. `ahead`: index of the next waypoint."""
 
     seconds: float
     start: State
@@ -94,7 +104,7 @@ class Piece:
 
 
 class Trajectory:
-    """Pieces one after the other, then `end`: a state whose velocity is kept, zero unless the goal drifts."""
+    """Chain of pieces, followed by the state `end`, whose velocity is kept: zero unless the goal moves."""
 
     def __init__(self, pieces: Sequence[Piece], end: State, waypoints: int) -> None:
         self.pieces = tuple(pieces)
@@ -112,8 +122,9 @@ class Trajectory:
         return self.pieces[i].at(t - self._ends[i] + self.pieces[i].seconds)
 
     def chords(self, t: float) -> list[Point]:
-        """Return places from t seconds after the beginning on, to `end`. The trajectory is within BULGE of the straight
-        lines between them."""
+        """Return places on the trajectory, from t seconds after its beginning to `end`.
+
+        The trajectory is within BULGE of the straight lines between them."""
         found = [self.at(t).position]
         for piece, behind in zip(self.pieces, self._ends, strict=True):
             begun = behind - piece.seconds
@@ -133,16 +144,18 @@ class Trajectory:
 
 
 def standing(at: Point, waypoints: int = 0) -> Trajectory:
-    """Nothing moves, and the waypoints are behind."""
+    """Return a trajectory that stands at a place, with all waypoints passed."""
     return Trajectory((), State(at), waypoints)
 
 
 def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point = ZERO) -> Trajectory:
-    """From a state, by the waypoints (at least one), to rest at the last. `start`'s velocity must be within the limits.
+    """Return a trajectory from a state along the waypoints (at least one) to a stand at the last one.
 
-    With a drift (m/s, within the limits) the last waypoint, which must be the only one, goes on with that velocity from
-    the trajectory's beginning on, and is met and accompanied: the plan is made in its frame, where limits of
-    acceleration are the same and those of speed are `Limits.top`'s. Waypoints and start must be finite."""
+    The velocity of `start` must be within the limits. Waypoints and start must be finite.
+
+    `drift`: velocity of a moving waypoint (m/s, within the limits); it must then be the only one. The trajectory meets
+    the waypoint and moves on with it. It is planned in the frame that moves with the waypoint. There, the limit of
+    acceleration is the same, and the limits of speed are those of `Limits.top`."""
     ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
     pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
     entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
@@ -185,18 +198,19 @@ def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int
 
 
 def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point, ahead: int) -> Piece | None:
-    """A piece at whose end the velocity is towards the goal, `fast` or what the limits allow; None when the way is too
-    short for that, or braking amid it would lead out of the box.
+    """Return a piece at whose end the velocity points to the goal, with the speed `fast` or what the limits allow.
 
-    With T = |s u - v| / a the piece ends at p + (v + s u) T / 2, so u must point from c = p + v T / 2 to the goal: a
-    fixed point, found by iteration from where braking would end.
+    Return None if the distance is too short to stop at the goal, or if braking within the piece would leave the box.
+
+    With T = |s u - v| / a, the piece ends at p + (v + s u) T / 2. So the unit vector u must point from c = p + v T / 2
+    to the goal. That is a fixed point, found by iteration; at first, u points from where braking would end.
     """
     a, v = limits.acceleration, start.velocity
     u = goal - limits.stop(start)
     far = norm(u)
     if far < CLOSE:
         return None
-    # Plain numbers: a new target that comes in every round is what agents' planning costs most.
+    # Plain numbers instead of Points, for speed: a program that commands a new target each round runs this each round.
     x, y, z = u.x / far, u.y / far, u.z / far
     vx, vy, vz, dx, dy, dz = v.x, v.y, v.z, drift.x, drift.y, drift.z
     away, room, hypot = goal - start.position, limits.speed**2 - _dot(drift, drift), math.hypot
@@ -225,7 +239,7 @@ def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point
 
 
 def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) -> bool:
-    """`Limits.safe` of a piece's state after t seconds, moved on with the drift."""
+    """Return `Limits.safe` of a piece's state after t seconds, converted from the moving frame by the drift."""
     p, v, half = start.position, start.velocity, t * t / 2
     vx, vy, vz = v.x + push.x * t + drift.x, v.y + push.y * t + drift.y, v.z + push.z * t + drift.z
     far = math.hypot(vx, vy, vz) / (2 * limits.acceleration)
@@ -238,7 +252,7 @@ def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) ->
 
 
 def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:
-    """Straight legs from node to node and parabolas at the nodes between, entered with that speed, ending in rest."""
+    """Return straight legs between the nodes, with parabolas at the inner nodes, from the speed `entry` to a stand."""
     a, last = limits.acceleration, len(nodes) - 1
     lengths = [distance(nodes[i], nodes[i + 1]) for i in range(last)]
     if lengths[0] < _STILL:
@@ -263,18 +277,21 @@ def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, dr
 
 
 def _speeds(lengths: list[float], tops: list[float], bends: list[float], entry: float, a: float) -> list[float]:
-    """The squares of the speeds at the nodes: each corner's own limits, then one pass back and one forth, which make
-    each straight long enough: |w' - w| <= 2 a (length - cut - cut'), where cut = w * bend / 2a."""
+    """Return the squares w of the speeds at the nodes.
+
+    First, each corner's own limits apply. Then one pass backward and one forward reduce the speeds until each straight
+    is long enough: |w' - w| <= 2 a (length - cut - cut'), where cut = w * bend / 2a."""
     last = len(lengths)
     w = [entry * entry, *(0.0 for _ in range(last))]
     for i in range(1, last):
-        # Cutting the corner, and braking amid it towards its outside, which a gentle bend at high speed makes worse.
+        # `within`: limit from CORNER, for cutting the corner and for braking within it, which leads to its outside. In
+        # a gentle bend at high speed, braking leads further outside than cutting leads inside.
         within = 8 * a * CORNER / max(bends[i] ** 2, min(1.0, 4 * bends[i]), _STILL)
         halves = a * min(lengths[i - 1], lengths[i]) / max(bends[i], _STILL)
         w[i] = min(tops[i - 1] ** 2, tops[i] ** 2, within, halves)
     for i in range(last - 1, 0, -1):
         w[i] = min(w[i], (2 * a * lengths[i] + w[i + 1] * (1 - bends[i + 1])) / (1 + bends[i]))
-    if bends[1] > 1.0:  # slower there, the parabola begins later and leaves more room to brake
+    if bends[1] > 1.0:  # a slower corner has a shorter parabola, which leaves more room to brake
         w[1] = min(w[1], max(0.0, (2 * a * lengths[0] - w[0]) / (bends[1] - 1)))
     for i in range(last):
         w[i + 1] = min(w[i + 1], (2 * a * lengths[i] + w[i] * (1 - bends[i])) / (1 + bends[i + 1]))
@@ -284,7 +301,9 @@ def _speeds(lengths: list[float], tops: list[float], bends: list[float], entry: 
 def _straight(
     start: Point, u: Point, length: float, w: float, w_end: float, top: float, a: float, ahead: int
 ) -> list[Piece]:
-    """Speed up, keep on, brake: from speed sqrt(w) to sqrt(w_end) over a length, at `top` or slower."""
+    """Return up to three pieces over a straight: accelerate, keep the speed, brake.
+
+    The speed goes from sqrt(w) to sqrt(w_end), and is `top` at most."""
     first, final = math.sqrt(w), math.sqrt(w_end)
     peak = max(first, final, min(top, math.sqrt(max(0.0, (w + w_end) / 2 + a * length))))
     up, down = (peak**2 - w) / (2 * a), (peak**2 - w_end) / (2 * a)

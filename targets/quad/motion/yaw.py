@@ -1,7 +1,7 @@
-"""The yaw that is commanded, and the watch over the yaw that the vehicle has.
+"""Yaw control: computes the commanded yaw, and checks that the vehicle's yaw follows it.
 
-The commanded yaw turns no faster than TURN, which an autopilot can follow, so a vehicle whose yaw stays away from it is
-not obeying. Yaws are in radians from east, counter-clockwise; rates in rad/s.
+The commanded yaw turns at TURN at most, which an autopilot can follow. So a lasting difference means that the vehicle
+does not obey. Yaws are in radians from east, counter-clockwise; rates in rad/s.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from koordgen.runtime.vehicle.platform import Unready
 from targets.quad.autopilot.ardupilot import ARDUPILOT
 from targets.quad.autopilot.telemetry import Telemetry
 
-TURN = 0.6  # rad/s: the commanded yaw turns no faster
-OFF, OFF_FOR = 0.6, 2.0  # rad and s: the vehicle's yaw may differ by so much, or by more for so long
-SPIN, SPIN_FOR = 0.8, 1.0  # rad/s and s: it may turn so much faster than is commanded, or faster for so long
-WINDOW = 0.2  # s over which a rate is measured
-MOVING = 0.2  # m/s below which a direction of motion is no heading
-LONGEST = 0.5  # s: after a longer pause the commanded yaw goes on from where it was
+TURN = 0.6  # rad/s, maximum rate of the commanded yaw
+OFF, OFF_FOR = 0.6, 2.0  # rad, s: an error of the vehicle's yaw above OFF that lasts longer than OFF_FOR is a failure
+SPIN, SPIN_FOR = 0.8, 1.0  # rad/s, s: so is a change of that error faster than SPIN that lasts longer than SPIN_FOR
+WINDOW = 0.2  # s over which the rate of change is measured
+MOVING = 0.2  # m/s; with policy "forward", the yaw follows the direction of motion above this horizontal speed
+LONGEST = 0.5  # s; a gap between two steps counts as no more than this
 LOOK = "look at the compass or the heading that is fed, the motors, and the autopilot's ATC_ parameters for yaw"
 RECEIVER = "an ArduPilot 4.7.0 from before the release that has no receiver needs GUID_OPTIONS 4"
 
@@ -34,9 +34,9 @@ def heading(text: str) -> str | float:
 
 
 class Yaw:
-    """Commanded yaw. `policy`: see `heading`.
+    """Yaw control of one vehicle. `policy`: see `heading`.
 
-    `commanded` is None until the vehicle's own yaw is known, at which it begins."""
+    `commanded` starts with the vehicle's own yaw, and is None until that is known."""
 
     def __init__(self, policy: str | float) -> None:
         self._policy = policy
@@ -47,23 +47,25 @@ class Yaw:
         self._last: tuple[float, float] | None = None  # time and difference at the beginning of the window
 
     def forget(self) -> None:
-        """Begin anew with the yaw that the vehicle has then: it may be turned by hand until then."""
+        """Forget the commanded yaw. The next command starts with the vehicle's yaw, as it may be turned by hand."""
         self.commanded = None
         self.pause()
 
     def pause(self) -> None:
-        """Drop what was measured: nothing is known of the vehicle for some time."""
+        """Drop the measurements of `watch`, because no telemetry will arrive for some time."""
         self._off = self._spinning = self._last = None
 
     def keep(self, state: Telemetry, now: float) -> None:
-        """Command the present yaw again: the vehicle climbs."""
+        """Keep the commanded yaw, during the take-off climb; start with the vehicle's yaw."""
         if self.commanded is None:
             self.commanded = state.yaw
         self._time = now
 
     def command(self, state: Telemetry, velocity: Point, now: float) -> float | None:
-        """Return the yaw to send for a reference of this velocity (m/s). Without one ArduPilot turns to wherever it
-        flies (WP_YAW_BEHAVIOR)."""
+        """Return the yaw to send with a setpoint; `velocity` (m/s): the reference's. None if the yaw is unknown.
+
+        A yaw is sent with every setpoint, because otherwise ArduPilot turns to the direction of flight
+        (WP_YAW_BEHAVIOR)."""
         seconds = min(now - self._time, LONGEST)
         self.keep(state, now)
         if self.commanded is None:
@@ -79,7 +81,7 @@ class Yaw:
         return self.commanded
 
     def watch(self, state: Telemetry) -> None:
-        """Compare the vehicle's yaw with the commanded one. Raises Unready when it does not obey."""
+        """Compare the vehicle's yaw with the commanded one. Raises Unready if the vehicle does not obey."""
         if self.commanded is None or state.time is None:
             return
         now = state.time

@@ -1,6 +1,6 @@
-"""Platform: the multicopter behind the ports of a program.
+"""Platform of the quad: connects a program's ports with a multicopter.
 
-Owns: ports, the quad without an autopilot, the quad in a simulator.
+Owns: the ports, the simulated quad without an autopilot, the quad with a simulated autopilot.
 Offers: the entries that the manifest names.
 Must not import: `sim`.
 """

@@ -1,4 +1,4 @@
-"""A quad's platform in a simulator that owns time."""
+"""Construction of a quad's platform for a simulator that controls time and runs in the same process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from targets.quad.platform.platform import Quad
 
 
 def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Quad:
-    """See koordgen.runtime.vehicle.simulator_services."""
+    """Return a quad whose links, clocks and planner are the simulator's.
+
+    See koordgen.runtime.vehicle.simulator_services."""
     return Quad(
         settings,
         key,

@@ -1,7 +1,9 @@
-"""A multicopter behind an ArduPilot or PX4 autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
+"""Platform of a multicopter with an ArduPilot or PX4 autopilot: the ports Motion and MotionWithScan over MAVLink 2.
 
-`position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
-and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
+Sensors `position` and `velocity`: the autopilot's estimate.
+Actuator `target`: approached in a straight line at `max_speed`, and at `flight_height` or above.
+Actuator `path`: its points are approached one after the other.
+Sensor `reached`: the quad has arrived and stands still.
 """
 
 from __future__ import annotations
@@ -40,11 +42,11 @@ from targets.quad.motion.motion import Motion
 from targets.quad.motion.setpoint import Aim, setpoint
 from targets.quad.motion.yaw import heading
 
-MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
+MODULES = ("Motion", "MotionWithScan")  # one vehicle under two names; the second has a lidar
 
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `settings:` of a quad says; the bounds are those of manifest.toml."""
+    """Settings of a quad in the fleet file (`settings:`). Units, bounds and defaults are those of manifest.toml."""
 
     autopilot: str = "udpin:127.0.0.1:14550"
     flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
@@ -71,9 +73,12 @@ def _bind(setting: str) -> DatagramLink:
 
 
 class Quad:
-    """Implements koordgen.runtime.vehicle.platform.Platform. The fleet's key serves feeds alone: the autopilot's link
-    is a wire or loopback. `connect`, `bind`, `scans` and `wall` (the time of day) are what the surroundings give, and
-    for `diagnose` alone `clock` and `sleep`."""
+    """Platform of a quad: implements koordgen.runtime.vehicle.platform.Platform.
+
+    `key`: the fleet's key. It authenticates position and lidar feeds; the autopilot's link is a wire or loopback.
+    `connect`, `bind`, `scans`: open the links to the autopilot, the position feed and the lidar.
+    `wall`: the time of day. `clock`, `sleep`: used by `diagnose` only. Simulators replace all of these.
+    """
 
     period = 0.05
 
@@ -130,7 +135,9 @@ class Quad:
         self._unplanned = Unplanned()
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
+        """See Platform: checks the autopilot, the feeds and the planner.
+
+        Meanwhile, a position feed is forwarded to the autopilot."""
         vehicle = self._diagnose_vehicle()
         return [*vehicle, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
 
@@ -209,8 +216,10 @@ class Quad:
 
     @property
     def ready(self) -> bool:
-        """Standing at flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a
-        lidar."""
+        """True if the quad stands at flight height, and everything that it needs works.
+
+        That is: a live link, a fresh position, an autopilot that follows setpoints, lidar scans if there is a lidar, a
+        planner, and a trusted position source."""
         return (
             self._flight is not None
             and self._flight.phase is Phase.FLYING
@@ -226,7 +235,7 @@ class Quad:
 
     @property
     def progress(self) -> str:
-        """See Platform; what the autopilot itself says against arming is part of it."""
+        """See Platform; includes the autopilot's own reasons for refusing to arm."""
         if self._flight is None:
             return "not started"
         refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
@@ -258,15 +267,16 @@ class Quad:
 
     @property
     def _vouched(self) -> float | None:
-        """When the position was known to be right last: told by the autopilot, and by its source where that is ours."""
+        """Time of the last trusted position: reported by the autopilot and, if external, confirmed by its source."""
         told = self._telemetry.time
         if self._positioning is None or told is None:
             return told
         return None if self._positioning.vouched is None else min(told, self._positioning.vouched)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Platform. What is not finite is refused, counted and shown in `progress`; instead of what leads into an
-        obstacle of the fleet file the quad holds, and says so."""
+        """See Platform. A command that is not finite is refused, counted, and shown in `progress`.
+
+        If a command leads into an obstacle of the fleet file, the quad holds instead, and reports that."""
         for points in commanded(actuators, MODULES):
             self._command(points, now)
 
@@ -280,7 +290,7 @@ class Quad:
                 self._command(points, now)
 
     def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
-        """Fly by these points if they may be flown by; `behind` says how many a quad that resumes has passed."""
+        """Fly along these points if the path is admitted. `behind`: number of points that a resumed quad has passed."""
         if points:
             self._unplanned.commanded()
         held, avoidance = self._avoidance.refusal, self._avoidance
@@ -294,7 +304,7 @@ class Quad:
             self._motion.command((), now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only one is `planner(goal, obstacles)`."""
+        """See Platform. The only callable port is `planner(goal, obstacles)`."""
         path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
         self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
         return path
@@ -316,8 +326,9 @@ class Quad:
             self._flight.grounded = on
 
     def rest(self, now: float) -> None:
-        """See Platform: lands, beside what other robots have published. A vehicle that a pilot or a failsafe has taken
-        is left to them."""
+        """See Platform: lands, away from the positions and paths that other robots have published.
+
+        A vehicle that a pilot or a failsafe has taken over is left to them."""
         if self._flight is not None and not self._moves_aside(now):
             self._flight.rest(now)
 
@@ -335,7 +346,7 @@ class Quad:
 
     @property
     def rested(self) -> bool:
-        """Landed and disarmed, or in another's hands, or never touched."""
+        """True if the quad has landed and disarmed, was taken over by a pilot or a failsafe, or was never commanded."""
         return self._flight is None or self._flight.phase is Phase.RESTED
 
     def close(self) -> None:

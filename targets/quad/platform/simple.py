@@ -1,7 +1,8 @@
-"""A quad without an autopilot: the ports of a quad over a body that flies at the velocity it is asked for.
+"""Platform of a quad without an autopilot, on a simulated vehicle that flies at a commanded velocity.
 
-For simulators, of fidelity `simple`. A program meets the same as on a quad: it takes off before it is ready, targets
-are raised to the flight height and kept inside the geofence, paths are planned and refused, it holds, it lands to rest.
+For simulations of fidelity `simple`. Programs observe the same behaviour as on a real quad. It takes off before it is
+ready. Targets are raised to the flight height and kept inside the geofence. Paths are planned and refused. The quad
+holds, and its safe stop is a landing.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from targets.quad.motion.motion import Motion
 from targets.quad.motion.yaw import heading
 from targets.quad.platform.platform import Quad
 
-LAG = 0.15  # s in which the body follows a velocity
-GAIN = 2.0  # 1/s: velocity by distance from the reference
-TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, rad/s
-SINKING = 0.5  # m/s, landing
-ARRIVED = 0.05  # m below the flight height at which the climb is over
-LANDED, SETTLING = 0.05, 0.5  # m, s: below this height for this long, it counts as landed
-GONE = 10.0  # s without a word of the body after which a landing quad waits no longer: its simulator has ended
+LAG = 0.15  # s, lag of the simulated vehicle's velocity behind the commanded one
+GAIN = 2.0  # 1/s, proportional gain from position error (m) to velocity (m/s)
+TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, proportional gain from yaw error to yaw rate; rad/s, its limit
+SINKING = 0.5  # m/s, descent rate of a landing
+ARRIVED = 0.05  # m below the flight height at which the climb is complete
+LANDED, SETTLING = 0.05, 0.5  # m, s: a quad below the height LANDED for SETTLING counts as landed
+GONE = 10.0  # s without a state of the simulated vehicle after which a landing quad gives up: the simulator has ended
 
 
 class Seen(Protocol):
-    """What is known of a body: position (m) and velocity (m/s), ENU, and yaw (rad)."""
+    """State of the simulated vehicle: position (m) and velocity (m/s) in ENU, and yaw (rad)."""
 
     @property
     def position(self) -> tuple[float, float, float]: ...
@@ -48,10 +49,10 @@ class Seen(Protocol):
 
 
 class Flyer(Protocol):
-    """The body. It flies on with what it was asked for last."""
+    """Simulated vehicle. It flies on at the velocity that was commanded last."""
 
     def state(self) -> Seen | None:
-        """None: its position is not known now."""
+        """Return the state, or None if the position is unknown now."""
         ...
 
     def fly(self, velocity: tuple[float, float, float], yaw_rate: float) -> None: ...
@@ -60,7 +61,7 @@ class Flyer(Protocol):
 
 
 class Phase(enum.Enum):
-    """They follow in this order."""
+    """Phase of a flight. The phases follow each other in this order."""
 
     GROUNDED = "waiting to take off"
     CLIMBING = "climbing"
@@ -70,16 +71,16 @@ class Phase(enum.Enum):
 
 
 class SimpleMotion(Motion):
-    """Follows its reference with a body instead of an autopilot."""
+    """Motion control that commands velocities to a simulated vehicle instead of setpoints to an autopilot."""
 
     def fly(self, body: Flyer, state: Telemetry, now: float) -> None:
-        """Ask for the next velocity."""
+        """Command the next velocity and yaw rate."""
         position = state.position
         if position is None:
             return
         self._attend(position, state.velocity, now)
         self.followed = True
-        # Asked for as much earlier as it will be late.
+        # The velocity is that of the reference after LAG, which compensates the vehicle's lag.
         velocity = self._reference.at(LAG).velocity + (self._reference.at(0.0).position - position) * GAIN
         v = self._limits.limited(velocity)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
@@ -88,7 +89,7 @@ class SimpleMotion(Motion):
 
 
 def turning(yaw: float | None, wanted: float | None) -> float:
-    """Return the yaw rate towards a heading."""
+    """Return the yaw rate (rad/s) that turns from the yaw towards the wanted yaw (rad)."""
     if yaw is None or wanted is None:
         return 0.0
     off = (wanted - yaw + math.pi) % math.tau - math.pi
@@ -96,7 +97,7 @@ def turning(yaw: float | None, wanted: float | None) -> float:
 
 
 class SimpleQuad(Quad):
-    """Implements koordgen.runtime.vehicle.platform.Platform."""
+    """Platform of a simulated quad: implements koordgen.runtime.vehicle.platform.Platform."""
 
     def __init__(
         self, settings: Settings, key: bytes | None, flyer: Flyer, *,
@@ -104,7 +105,7 @@ class SimpleQuad(Quad):
     ) -> None:  # fmt: skip
         super().__init__(settings, key, scans=scans, planning=planning)
         self._flyer = flyer
-        self._positioning = None  # its place is known
+        self._positioning = None  # not needed, because the simulator reports the position
         own = self._body
         self._motion = self._direct = SimpleMotion(
             self._frame, settings.geofence, own.flight_height, own.max_speed, own.max_acceleration, own.max_climb,
@@ -113,11 +114,11 @@ class SimpleQuad(Quad):
         )  # fmt: skip
         self._phase = Phase.GROUNDED
         self._started = False
-        self._descent = 0.0  # when it began to land
-        self._low: float | None = None  # since when it is as low as the ground, landing
+        self._descent = 0.0  # start of the landing
+        self._low: float | None = None  # since when the landing quad is as low as the ground
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: there is nothing to look at."""
+        """See Platform: a simulated vehicle has nothing to check."""
         return [Finding("body", "ok", "a simple one")]
 
     def start(self, now: float) -> None:
@@ -153,13 +154,13 @@ class SimpleQuad(Quad):
             known.yaw, known.time = seen.yaw, now
 
     def _move(self, position: Point, now: float) -> None:
-        """Up or down."""
+        """Run the phases other than flying: take off, climb, land."""
         match self._phase:
             case Phase.GROUNDED if not self._held:
                 self._phase = Phase.CLIMBING
                 self._flyer.motors(True)
             case Phase.CLIMBING:
-                self._flyer.motors(True)  # again: what goes to another process may be lost
+                self._flyer.motors(True)  # repeated, because a command to the simulator's process may be lost
                 left = self._body.flight_height - position.z
                 self._flyer.fly((0.0, 0.0, min(self._body.max_climb, GAIN * max(left, ARRIVED))), 0.0)
                 if left < ARRIVED:
@@ -205,13 +206,13 @@ class SimpleQuad(Quad):
         return self._phase is Phase.RESTED or not self._started
 
     def close(self) -> None:
-        """See Platform. A body in the air is left to what it does when nothing more comes."""
+        """See Platform. A vehicle in the air is left to its simulator."""
         self._lidar.close()
         self._avoidance.close()
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, flyer: Flyer) -> SimpleQuad:
-    """In a simulator that owns time; see koordgen.runtime.vehicle.simulator_services."""
+    """Return the platform for a simulator that controls time; see koordgen.runtime.vehicle.simulator_services."""
     return SimpleQuad(
         settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
     )  # fmt: skip

@@ -67,7 +67,7 @@ def test_a_car_off_its_way_and_near_to_an_obstacle_brakes_before_its_way_is_plan
     navigator._tracker.step(near)
     assert navigator._tracker.error > STRAYED
     assert navigator.step(near, False, world.now) is None
-    assert navigator.progress == "braking: off its way, and near to an obstacle"
+    assert navigator.progress == "braking: off the path, and near to an obstacle"
 
 
 def test_a_new_agent_goes_on_amid_the_path() -> None:
@@ -124,7 +124,7 @@ def blocked(**safety: Any) -> World:
 def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
     world = blocked()
     (line,) = world.car.news()
-    assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another way")
+    assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another path")
     world.run(2 * NO_PROGRESS)
     assert "holding until" in world.car.stall, "it stood still twice, or its time for this target is over"
     world.car.news()

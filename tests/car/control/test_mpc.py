@@ -174,8 +174,8 @@ class Flaky:
 @pytest.mark.parametrize(
     ("answer", "seconds", "reason"),
     [
-        (None, 0.0, "the solver finds no way to follow the path"),
-        ([math.nan] * 2 * STEPS, 0.0, "the solver finds no way to follow the path"),
+        (None, 0.0, "the solver finds no plan to follow the path"),
+        ([math.nan] * 2 * STEPS, 0.0, "the solver finds no plan to follow the path"),
         ([0.0] * 2 * STEPS, 0.08, "the solver took 80 ms, 50 ms are allowed"),
     ],
 )
@@ -213,7 +213,8 @@ def test_what_is_no_number_is_refused_and_the_plan_before_stands_in(mpc: Mpc, wh
     state = {"state": nan, "speed": State(0.0, 0.0, 0.0, math.nan, 0.0)}.get(what, State(0.02, 0, 0, first.speed, 0))
     path = {"path": [*straight(0.9)[:-1], nan], "short": straight(0.9)[:-1]}.get(what, straight(0.9))
     assert mpc.follow(state, path) == second
-    wrong = "the car's state is no number" if what in ("state", "speed") else "the path holds what is no number"
+    own = what in ("state", "speed")
+    wrong = "the car's state is not finite" if own else "the path's reference states are not finite"
     assert mpc.trouble == wrong
 
 

@@ -118,7 +118,7 @@ def test_a_solver_that_fails_ten_times_brings_the_car_to_a_stop_and_says_why() -
     tracker.take([line(5.0)])
     speeds = drive(tracker, body, lambda: math.inf, 12)
     assert tracker.failures == 12 > BLIND_STEPS
-    assert tracker.trouble == "the solver finds no way to follow the path"
+    assert tracker.trouble == "the solver finds no plan to follow the path"
     assert speeds[-1] == 0.0 and body.truth.x < 0.5
 
 
@@ -153,7 +153,7 @@ def test_a_car_whose_solver_fails_for_good_stands_and_says_why_and_goes_on_when_
     told = set()
     world.run(2.5, lambda: told.add(world.car.progress))
     assert abs(world.body.truth.speed) < 0.02
-    assert "braking: the solver finds no way to follow the path" in told
+    assert "braking: the solver finds no plan to follow the path" in told
     mpc._solve = works
     world.run(8.0)
     assert world.distance(5.0, 0.0) < 0.1

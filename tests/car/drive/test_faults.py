@@ -232,7 +232,7 @@ def test_a_car_that_stood_and_was_carried_is_believed_after_a_second() -> None:
     assert "jumped" in world.car.progress
     elsewhere(world, 0.4, -3.0)
     assert world.car.ready and world.value("position").x == pytest.approx(-3.0, abs=0.01)
-    assert any("jumped by 3.0 m: believed" in line for line in world.car.news())
+    assert any("jumped by 3.0 m: accepted" in line for line in world.car.news())
 
 
 def test_positions_that_are_no_numbers_are_dropped_and_brake_it() -> None:

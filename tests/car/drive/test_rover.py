@@ -337,7 +337,7 @@ def test_a_speed_that_nobody_knows_is_fed_forward() -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ({"position": "rover"}, "position is rover, but the drive is none"),
+        ({"position": "rover"}, "position is rover, but the drive is not a rover"),
         ({"drive": URL, "max_speed": 4.0}, "max_speed 4 is more than full_speed 3"),
     ],
 )

@@ -92,7 +92,7 @@ def test_a_path_through_an_obstacle_is_refused_and_told_once() -> None:
         world.run(1.0)
     assert standing(world) and world.distance(0.0, 0.0) < 0.02 and world.value("reached") is False
     (line,) = world.car.news()
-    assert line.startswith("not driven, holding instead: the way from (0.50, 0.00, 0.00)") and "obstacle 0" in line
+    assert line.startswith("not driven, holding instead: the path from (0.50, 0.00, 0.00)") and "obstacle 0" in line
     assert "comes within 0.00 m of obstacle 0" in world.car.progress
     world.car.command({"Motion.path": (Point(0.5, 0.0, 0.0), Point(0.8, 2.0, 0.0))}, world.now)
     world.run(10.0)
@@ -211,7 +211,7 @@ def test_until_the_first_way_is_planned_the_car_stands() -> None:
     world = among(BOX, planning=Late)
     world.go(3.0, 0.0)
     world.run(0.15)
-    assert world.car.progress == "standing until a way is planned" and standing(world)
+    assert world.car.progress == "standing until a path is planned" and standing(world)
     assert drive(world, 12.0, BOX) > 0.05 and world.value("reached") is True
 
 

@@ -184,7 +184,7 @@ def status(millivolts: int, percent: int) -> Message:
 @pytest.mark.parametrize(("variance", "state"), [(0.39, "ok"), (0.41, "warn"), (0.79, "warn"), (0.81, "fail")])
 def test_the_variances_of_the_estimate(variance: float, state: str) -> None:
     found = judged(ekf(variance=variance))["estimate"]
-    assert found.state == state and found.found.endswith("of velocity")
+    assert found.state == state and found.found.endswith("of its limit: velocity")
 
 
 def test_a_flag_that_the_estimate_lacks() -> None:
@@ -198,7 +198,7 @@ def test_a_flag_that_the_estimate_lacks() -> None:
         (12400, 80, "ok", "12.4 V, 80 %"),
         (11000, 49, "warn", "11.0 V, 49 %"),
         (10000, 19, "fail", "10.0 V, 19 %"),
-        (12400, -1, "ok", "12.4 V, charge not told"),
+        (12400, -1, "ok", "12.4 V, charge not reported"),
         (0, -1, "warn", "not measured"),
         (65535, -1, "warn", "not measured"),
     ],
@@ -252,7 +252,7 @@ def test_its_health() -> None:
 
     found = health(bits | rc, bits | rc, 0)
     assert found["sensors"].found == "not healthy: compass" and found["sensors"].state == "warn"
-    assert found["checks"].state == "fail" and "does not say which" in found["checks"].found
+    assert found["checks"].state == "fail" and "does not report which" in found["checks"].found
     for fine in (health(bits, bits, bits), health(bits, 0, 0), health(0, bits, 0)):
         assert not {"checks", "sensors"} & set(fine)
 

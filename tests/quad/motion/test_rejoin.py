@@ -199,7 +199,7 @@ def test_a_vehicle_that_makes_no_progress_says_so_and_holds() -> None:
     flight = stalled()
     flight.rig.run(NO_PROGRESS + 3.0)
     (line,) = flight.rig.quad.news()
-    assert line.startswith("no progress for 8 s at (1.") and line.endswith("braking, and looking for another way")
+    assert line.startswith("no progress for 8 s at (1.") and line.endswith("braking, and looking for another path")
     flight.rig.run(NO_PROGRESS + 3.0)
     (line,) = flight.rig.quad.news()
     assert line.endswith("twice: holding until the next command") and line == flight.rig.quad.stall

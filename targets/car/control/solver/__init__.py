@@ -1,4 +1,4 @@
-"""Solver of the car's MPC: in C where it compiles, else by CasADi.
+"""Solvers of the car's MPC problem: a compiled C solver, and a CasADi solver if the C code cannot be compiled.
 
 Owns: the model, the generated `mpc.c`, the fallback.
 Offers: `compiled`, `fallback`, `problem`.

@@ -1,4 +1,4 @@
-"""The solver as C: compiled once on the robot, called by ctypes."""
+"""MPC solver in C: compiled once on the robot, called by ctypes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from targets.car.control.solver.model import INPUTS, STATES, STEPS
 from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
 
 SOURCE = Path(__file__).with_name("mpc.c")
-FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-lm")  # -O3 takes three times as long, for 8 % of the solver's time
-# A problem with a known answer: a full stop 0.2 m ahead, from 0.8 m/s and 0.1 rad off. First acceleration and steering
-# rate as CasADi with IPOPT finds them.
+FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-lm")  # -O3 compiles three times as long and saves 8 %
+# Test problem with a known answer: a full stop 0.2 m ahead, from 0.8 m/s with a yaw error of 0.1 rad. PROBE_ANSWER is
+# the first acceleration (m/s^2) and steering rate (rad/s) that CasADi with IPOPT finds.
 PROBE_LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.4, steering_rate=3.0)
 PROBE_STATE = (0.0, 0.0, 0.1, 0.8, 0.0)
 PROBE_WISHED = (0.2, 0.0, 0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ PROBE_TOLERANCE = 0.01
 
 
 class CompiledSolver:
-    """`problem.Solver` by a library made of mpc.c."""
+    """Solver in a library compiled from mpc.c: implements `problem.Solver`."""
 
     def __init__(self, library: ctypes.CDLL, limits: Limits) -> None:
         self._solve = library.mpc_solve
@@ -48,7 +48,7 @@ class CompiledSolver:
 
 
 def load(limits: Limits, cache: Path | None = None) -> CompiledSolver:
-    """Return the solver, out of the cache or compiled: see `native.load`. Raises NotCompiled."""
+    """Return the solver, from the cache or newly compiled: see `native.load`. Raises NotCompiled."""
     return CompiledSolver(native.load(SOURCE, FLAGS, _prove, cache), limits)
 
 

@@ -1,7 +1,7 @@
-"""The same problem for CasADi: what drives when there is no compiler on the robot.
+"""MPC solver with CasADi, for robots without a C compiler.
 
-CasADi's `sqpmethod` with `qrqp` (the conic plug-ins daqp and fatrop gave wrong answers) and the Gauss-Newton Hessian,
-which is constant, since the cost is a sum of weighted squares of the variables.
+It uses CasADi's `sqpmethod` with the QP solver `qrqp`; the plug-ins daqp and fatrop gave wrong answers. The Hessian is
+that of Gauss-Newton, which is constant, since the cost is a sum of weighted squares of the variables.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ from typing import Any
 from targets.car.control.solver.model import INPUTS, STATES, STEPS, step
 from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
 
-ITERATIONS = 8  # from a shifted plan it takes one to three
-DEFECT = 1e-2  # metres, radians, m/s: a plan whose states do not follow from its inputs closer than this is refused
-NEAR = 0.1  # metres, radians, m/s: so far from where the plan before wanted the car it is still the better start
+ITERATIONS = 8  # maximum SQP iterations; from a shifted plan, one to three suffice
+DEFECT = 1e-2  # metres, radians, m/s; a plan is rejected if its states differ by more from those its inputs lead to
+# Metres, radians, m/s. If the car is within this of the state that the last plan predicted, the last plan is the
+# initial guess.
+NEAR = 0.1
 _STRIDE = INPUTS + STATES
 
 
 class CasadiSolver:
-    """`problem.Solver`; about 0.2 s to make, with the import of CasADi. All printing is off.
+    """Solver with CasADi: implements `problem.Solver`. Creation takes about 0.2 s, with the import of CasADi.
 
-    CasADi reads and writes arrays of ours: making its matrices of lists would take as long as a third of the solve.
+    CasADi reads and writes preallocated arrays. Creating its matrices from lists would take a third of the solve time.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -50,14 +52,14 @@ class CasadiSolver:
         try:
             self._run()
             failed = bool(self._buffer.ret())
-        except RuntimeError:  # CasADi's, for whatever it finds wrong
+        except RuntimeError:  # CasADi raises it for every error
             failed = True
         plan, defects = found["x"], found["g"]
         sound = math.isfinite(sum(plan)) and math.isfinite(sum(defects))
         if failed or not sound or max(defects) > DEFECT or min(defects) < -DEFECT:
             for values in (given["lam_x0"], given["lam_g0"]):
                 values[:] = array("d", bytes(8 * len(values)))
-            plan[:] = array("d", [math.nan] * len(plan))  # near nothing: no start for the next search
+            plan[:] = array("d", [math.nan] * len(plan))  # NaN, so that `_start` does not use this plan
             return None
         # The multipliers of this solve, shifted, warm-start the next one.
         given["lam_x0"][:] = _shifted(found["lam_x"], _STRIDE)
@@ -65,7 +67,7 @@ class CasadiSolver:
         return [v for k in range(STEPS) for v in plan[_STRIDE * k : _STRIDE * k + INPUTS]]
 
     def _start(self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]) -> array[float]:
-        """Where the search begins: with the plan before, shifted, if that has led to about here, else on the path."""
+        """Return the initial guess: the shifted last plan if that predicted about the present state, else the path."""
         plan = self._found["x"]
         if all(abs(a - b) <= NEAR for a, b in zip(plan[INPUTS:_STRIDE], present, strict=True)):
             return _shifted(plan, _STRIDE)
@@ -82,14 +84,17 @@ def _shifted(values: array[float], stride: int) -> array[float]:
 
 
 def upper_bounds(limits: Limits) -> list[float]:
-    """Return the bounds of the program's variables; the lower ones are their negatives."""
+    """Return the upper bounds of the program's variables; the lower bounds are their negatives."""
     free = [math.inf] * 3
     return [limits.acceleration, limits.steering_rate, *free, limits.speed, limits.steering] * STEPS
 
 
 def nonlinear_program(method: str, options: dict[str, Any] | None = None) -> Any:
-    """Return the problem for CasADi's `nlpsol`. Variables: input, state after it, for each step; parameters: wheelbase,
-    weights of states and of inputs, present state, wished states; constraints: the defects, which are 0."""
+    """Return the problem for CasADi's `nlpsol`.
+
+    Variables: for each step, the input and the state after it.
+    Parameters: wheelbase, weights of states and of inputs, present state, wished states.
+    Constraints: the defects (state minus the model's prediction) are 0."""
     import casadi as ca
 
     states, actions = ca.SX.sym("states", STATES, STEPS), ca.SX.sym("actions", INPUTS, STEPS)

@@ -1,6 +1,6 @@
-"""The kinematic bicycle as CasADi expressions: what both solvers have in common.
+"""Kinematic bicycle model as CasADi expressions, from which both solvers are made.
 
-The discrete model is the midpoint rule over one step; the states are (x, y, yaw, speed, steering), the inputs
+The discrete model applies the midpoint rule over one step. The states are (x, y, yaw, speed, steering), the inputs are
 acceleration and steering rate, in the units and frame of `targets.car.base.bicycle`.
 """
 
@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-STEPS = 20
-STEP = 0.05  # seconds
-STATES, INPUTS = 5, 2
+STEPS = 20  # steps of the horizon
+STEP = 0.05  # seconds of one step, also the period of the control loop
+STATES, INPUTS = 5, 2  # numbers of states and inputs
 
 
 def step(state: Any, inputs: Any, wheelbase: Any) -> Any:
-    """Return the state one step on, symbolically."""
+    """Return the state after one step, as a CasADi expression."""
     import casadi as ca
 
     def slope(s: Any) -> Any:

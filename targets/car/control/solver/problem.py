@@ -1,7 +1,7 @@
-"""What is solved at every control step, whoever solves it: limits, weights, and the interface of a solver.
+"""MPC problem that is solved at every control step: limits, weights, and the interface of a solver.
 
-The cost is the sum over 20 steps of 50 ms of the weighted squares of (state - wished state) and of the inputs.
-States are (x, y, yaw, speed, steering), inputs acceleration and steering rate; m, rad, s, in local ENU.
+The cost is the sum, over 20 steps of 50 ms, of the weighted squares of (state - wished state) and of the inputs.
+States are (x, y, yaw, speed, steering), inputs are acceleration and steering rate; m, rad, s, in local ENU.
 """
 
 from __future__ import annotations
@@ -16,21 +16,26 @@ INPUT_WEIGHTS = (0.02, 0.02)  # acceleration, steering rate
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a car can do: metres, m/s (both directions), m/s^2, radians, rad/s."""
+    """Wheelbase and limits of a car. Each limit holds in both directions."""
 
-    wheelbase: float
-    speed: float
-    acceleration: float
-    steering: float
-    steering_rate: float
+    wheelbase: float  # m
+    speed: float  # m/s
+    acceleration: float  # m/s^2
+    steering: float  # rad
+    steering_rate: float  # rad/s
 
 
 class Solver(Protocol):
-    """Plans for one car."""
+    """Solver of the MPC problem for one car."""
 
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """The inputs of the best plan from `present` (5 numbers, speed and steering within the limits) along `wished`
-        (20 states), looked for from `inputs` (20 pairs) on; None when none was found. Everything given is finite."""
+        """Return the inputs of the best plan (20 pairs), or None if none was found.
+
+        `present`: the initial state (5 numbers); its speed and steering are within the limits.
+        `wished`: the reference states (20 times 5 numbers).
+        `inputs`: the initial guess (20 pairs).
+
+        All numbers must be finite."""
         ...
